@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+#
+#   make demo    run on a synthetic room, into a new folder of runs/
+#   make test    the tests; real sequences too where DCGS_TEST_DATA names their folder
+#   make lint    ruff and mypy
+#   make bench   the speed tables
+#
+# Needs Python 3.10 or newer (PYTHON=python3.12 chooses one); the rest goes into .venv, once, and
+# again when setup.py or constraints.txt change.
+
+PYTHON ?= python3
+VENV ?= .venv
+VENV_PYTHON := $(VENV)/bin/python
+INSTALLED := $(VENV)/.installed
+CHECKED := dcgs_ros test $(wildcard benchmarks)
+
+.PHONY: demo test lint bench
+.DEFAULT_GOAL := demo
+
+# With a sourced ROS 2 the environment sees the system's packages, and constraints.txt does not
+# apply: rclpy's messages are compiled against the system's numpy, so that is the one pin.
+# Elsewhere it is a plain environment. To change from one to the other remove $(VENV).
+$(INSTALLED): setup.py constraints.txt
+	@echo "Installing into $(VENV) (once)"
+	@set -e; \
+	if [ -n "$$ROS_DISTRO$$AMENT_PREFIX_PATH" ] && $(PYTHON) -c 'import rclpy' 2>/dev/null; then \
+	    $(PYTHON) -m venv --system-site-packages $(VENV); \
+	    $(PYTHON) -c 'import numpy; print(f"numpy=={numpy.__version__}")' \
+	        > $(VENV)/constraints.txt; \
+	else \
+	    $(PYTHON) -m venv $(VENV); \
+	    cp constraints.txt $(VENV)/constraints.txt; \
+	fi
+	@$(VENV_PYTHON) -m pip install --quiet --disable-pip-version-check \
+	    --constraint $(VENV)/constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: $(INSTALLED)
+	@mkdir -p runs; n=1; while [ -e runs/demo-$$n ]; do n=$$((n + 1)); done; \
+	$(VENV)/bin/dcgs run synthetic:room --out runs/demo-$$n
+
+test: $(INSTALLED)
+	$(VENV_PYTHON) -m pytest
+
+lint: $(INSTALLED)
+	$(VENV_PYTHON) -m ruff check .
+	$(VENV_PYTHON) -m ruff format --check .
+	$(VENV_PYTHON) -m mypy $(CHECKED)
+
+bench: $(INSTALLED)
+	$(VENV_PYTHON) -m benchmarks.tracking

@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What colcon, pip and the layering rely on."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+import dcgs_ros
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ElementTree.parse(ROOT / 'package.xml').getroot()
+SETUP = (ROOT / 'setup.py').read_text()
+FOLDERS = ('dcgs_ros', 'test', 'benchmarks', 'launch')
+SOURCES = [ROOT / 'setup.py', *(p for name in FOLDERS for p in (ROOT / name).rglob('*.py'))]
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+package = importlib.import_module({package!r})
+for module in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):
+    importlib.import_module(module.name)
+print(*sorted(sys.modules), sep='\\n')
+"""
+
+
+def loaded_by(package: str) -> set[str]:
+    """Return the modules in a fresh process that has imported all of a package."""
+    command = [sys.executable, '-c', IMPORT_ALL.format(package=package)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+def test_versions_agree() -> None:
+    in_setup = re.search(r"version='([^']+)'", SETUP)
+    assert in_setup is not None
+    assert in_setup[1] == PACKAGE.findtext('version') == dcgs_ros.__version__
+
+
+def test_colcon_takes_it_for_an_ament_python_package() -> None:
+    assert PACKAGE.get('format') == '3'
+    assert PACKAGE.findtext('name') == 'dcgs_ros'
+    assert PACKAGE.findtext('export/build_type') == 'ament_python'
+    # With a maintainer address it does not like, colcon silently builds something else.
+    maintainer = PACKAGE.find('maintainer')
+    assert maintainer is not None
+    assert re.fullmatch(r'[-\w.+]+@[-\w]+(\.[-\w]+)+', maintainer.get('email', ''))
+    assert (ROOT / 'resource' / 'dcgs_ros').is_file()
+
+
+def test_entry_points_lead_to_functions() -> None:
+    entries = re.findall(r"'\w+ = ([\w.]+):(\w+)'", SETUP)
+    assert entries
+    for module, function in entries:
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_core_needs_no_ros_no_torch_and_none_of_the_outer_rings() -> None:
+    loaded = loaded_by('dcgs_ros.core')
+    assert 'dcgs_ros.core.camera' in loaded
+    assert not loaded & {'rclpy', 'torch', 'matplotlib', 'tqdm', 'tyro'}
+    outer = {'datasets', 'io', 'evaluation', 'nodes', 'cli'}
+    assert not {name for name in loaded if name.split('.')[:1] == ['dcgs_ros']} & {
+        f'dcgs_ros.{ring}' for ring in outer
+    }
+
+
+@pytest.mark.parametrize('ring', ['datasets', 'io', 'evaluation'])
+def test_the_middle_ring_needs_no_ros_and_nothing_outside_it(ring: str) -> None:
+    loaded = loaded_by(f'dcgs_ros.{ring}')
+    assert not loaded & {'rclpy', 'torch', 'tyro', 'matplotlib.pyplot'}
+    assert not loaded & {'dcgs_ros.nodes', 'dcgs_ros.cli', 'evo'}
+
+
+@pytest.mark.parametrize('path', SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_file_names_its_licence(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    lines = lines[1:] if lines and lines[0].startswith('#!') else lines
+    assert lines[:2] == [
+        '# SPDX-FileCopyrightText: 2026 The dcgs_ros authors',
+        '# SPDX-License-Identifier: BSD-3-Clause',
+    ]

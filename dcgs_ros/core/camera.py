@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pinhole camera with Brown-Conrady distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import lens
+from .errors import DcgsError
+
+
+class CameraError(DcgsError):
+    """The intrinsics describe no usable camera."""
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Intrinsics of the colour image, to which depth is registered.
+
+    Pixel centres lie on integers (OpenCV's convention): the first pixel is (0, 0). `distortion` is
+    OpenCV's (k1, k2, p1, p2[, k3[, k4, k5, k6]]); empty means none.
+    """
+
+    width: int
+    height: int
+    fx: float  # pixels
+    fy: float  # pixels
+    cx: float  # pixels
+    cy: float  # pixels
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what would only fail later, inside a kernel."""
+        if self.width < 16 or self.height < 16:
+            raise CameraError(f'image of {self.width}x{self.height} pixels is too small')
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.all(np.isfinite(numbers)) or self.fx <= 0 or self.fy <= 0:
+            raise CameraError(f'intrinsics fx fy cx cy distortion = {numbers} are not usable')
+        if len(self.distortion) not in (0, 4, 5, 8):
+            raise CameraError(f'distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8')
+
+    @property
+    def focal(self) -> float:
+        """Mean focal length in pixels: the f of the paper's sigma_perp = z s / f."""
+        return 0.5 * (self.fx + self.fy)
+
+    @cached_property
+    def parameters(self) -> NDArray[np.float64]:
+        """(12,) fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6: the form the kernels take."""
+        padded = np.zeros(12)
+        padded[:4] = self.fx, self.fy, self.cx, self.cy
+        padded[4 : 4 + len(self.distortion)] = self.distortion
+        return padded
+
+    @cached_property
+    def undistortion_map(self) -> NDArray[np.float32]:
+        """(H, W, 2) undistorted x/z, y/z of the ray through each pixel.
+
+        Measurements are undistorted, images are not: nothing is resampled.
+        """
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float32), np.arange(self.height))
+        pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
+        return self.undistort(pixels).reshape(self.height, self.width, 2)
+
+    def undistort(self, pixels: NDArray) -> NDArray[np.float32]:
+        """Pixels (N, 2) to undistorted normalised coordinates x/z, y/z (N, 2)."""
+        return lens.undistort(self.parameters, np.asarray(pixels, np.float64))
+
+    def project(self, points_cam: NDArray) -> NDArray[np.float32]:
+        """Points (N, 3) in the camera frame, metres, z > 0, to distorted pixels (N, 2)."""
+        return lens.project(self.parameters, np.asarray(points_cam, np.float64))

@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""SE(3) as 4x4 float64 matrices.
+
+Twists are xi = (rho, phi), translation first. The package perturbs on the right, T exp(xi), so a
+twist, a Hessian and a covariance of T_world_cam are all expressed in the camera's own frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+_SMALL = 1e-4  # rad: below, the series of sin(x)/x and friends are exact to double precision
+_SERIES = 1e-2  # rad: below, the series of V^-1's last coefficient loses less than the formula
+_NEAR_PI = math.pi - 1e-3
+
+
+def hat(v: NDArray) -> NDArray[np.float64]:
+    """Matrix (3, 3) of the cross product: hat(v) w = v x w."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _sine_ratios(angle: float) -> tuple[float, float, float]:
+    """Return sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3."""
+    if angle < _SMALL:
+        x2 = angle * angle
+        return 1.0 - x2 / 6.0, 0.5 - x2 / 24.0, 1.0 / 6.0 - x2 / 120.0
+    sine = math.sin(angle)
+    return sine / angle, 2.0 * (math.sin(0.5 * angle) / angle) ** 2, (angle - sine) / angle**3
+
+
+def so3_left_jacobian(phi: NDArray) -> NDArray[np.float64]:
+    """V(phi): the integral of the rotation by s phi over s in [0, 1]."""
+    _, b, c = _sine_ratios(math.sqrt(float(phi @ phi)))
+    k = hat(phi)
+    return np.eye(3) + b * k + c * (k @ k)
+
+
+def exp(xi: NDArray) -> NDArray[np.float64]:
+    """Twist (6,) to transform (4, 4)."""
+    rho, phi = xi[:3], xi[3:]
+    a, b, c = _sine_ratios(math.sqrt(float(phi @ phi)))
+    k = hat(phi)
+    k2 = k @ k
+    T = np.eye(4)
+    T[:3, :3] += a * k + b * k2
+    T[:3, 3] = rho + b * (k @ rho) + c * (k2 @ rho)
+    return T
+
+
+def log(T: NDArray) -> NDArray[np.float64]:
+    """Transform (4, 4) to twist (6,), rotation angle in [0, pi]."""
+    R = T[:3, :3]
+    axis_sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine, cosine = math.sqrt(float(axis_sine @ axis_sine)), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
+    angle = math.atan2(sine, cosine)
+    if angle > _NEAR_PI:  # the sine no longer tells the axis
+        phi = Rotation.from_matrix(R).as_rotvec()
+        angle = math.sqrt(float(phi @ phi))
+    else:
+        phi = axis_sine / _sine_ratios(angle)[0]
+    a, b, _ = _sine_ratios(angle)
+    # V^-1 = I - K/2 + e K^2 with e = (1 - a / (2 b)) / x^2
+    e = 1.0 / 12.0 + angle**2 / 720.0 if angle < _SERIES else (1.0 - 0.5 * a / b) / angle**2
+    t = T[:3, 3]
+    k = hat(phi)
+    kt = k @ t
+    return np.concatenate([t - 0.5 * kt + e * (k @ kt), phi])
+
+
+def inverse(T: NDArray) -> NDArray[np.float64]:
+    """Inverse of one transform (4, 4) or of a stack (..., 4, 4)."""
+    T = np.asarray(T, dtype=np.float64)
+    out = np.zeros_like(T)
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -np.einsum('...ij,...j->...i', R_t, T[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def adjoint(T: NDArray) -> NDArray[np.float64]:
+    """Ad (6, 6) with T exp(xi) T^-1 = exp(Ad xi)."""
+    R = T[:3, :3]
+    Ad = np.zeros((6, 6))
+    Ad[:3, :3] = Ad[3:, 3:] = R
+    Ad[:3, 3:] = hat(T[:3, 3]) @ R
+    return Ad
+
+
+def orthonormalised(T: NDArray) -> NDArray[np.float64]:
+    """Nearest transform with an exact rotation: undoes the rounding of long products."""
+    u, _, vt = np.linalg.svd(T[:3, :3])
+    out = T.copy()
+    out[:3, :3] = u @ vt
+    return out
+
+
+def from_quaternion(quat_wxyz: NDArray, translation: NDArray) -> NDArray[np.float64]:
+    """Turn unit quaternions (..., 4) and translations (..., 3) into transforms (..., 4, 4)."""
+    quat_wxyz, translation = np.asarray(quat_wxyz), np.asarray(translation)
+    T = np.zeros((*translation.shape[:-1], 4, 4))
+    xyzw = np.roll(quat_wxyz, -1, axis=-1).reshape(-1, 4)
+    if len(xyzw):  # SciPy before 1.17 refuses an empty stack
+        T[..., :3, :3] = Rotation.from_quat(xyzw).as_matrix().reshape(*T.shape[:-2], 3, 3)
+    T[..., :3, 3] = translation
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def to_quaternion(T: NDArray) -> NDArray[np.float64]:
+    """Turn transforms (..., 4, 4) into unit quaternions (..., 4) wxyz with w >= 0."""
+    T = np.asarray(T)
+    if not T.size:
+        return np.zeros((*T.shape[:-2], 4))
+    xyzw = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_quat()
+    wxyz = np.roll(xyzw, 1, axis=-1)
+    wxyz = np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
+    return wxyz.reshape(*T.shape[:-2], 4)

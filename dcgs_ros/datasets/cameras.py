@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cameras known by name, and cameras given as numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..core.camera import CameraError, PinholeCamera
+from ..core.sensor import SensorNoise
+from .source import SourceError
+
+
+@dataclass(frozen=True)
+class CameraPreset:
+    """Intrinsics, depth noise and depth unit of a camera."""
+
+    camera: PinholeCamera
+    sensor: SensorNoise
+    depth_per_metre: float  # value of a 16-bit depth pixel at one metre
+
+
+TUM_DEPTH_PER_METRE = 5000.0
+
+_FR1_DISTORTION = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+_FR2_DISTORTION = (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+
+PRESETS: dict[str, CameraPreset] = {
+    'fr1': CameraPreset(
+        PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, _FR1_DISTORTION),
+        SensorNoise.structured_light(),
+        TUM_DEPTH_PER_METRE,
+    ),
+    'fr2': CameraPreset(
+        PinholeCamera(640, 480, 520.9, 521.0, 325.1, 249.7, _FR2_DISTORTION),
+        SensorNoise.structured_light(),
+        TUM_DEPTH_PER_METRE,
+    ),
+    # TUM published fr3 already undistorted.
+    'fr3': CameraPreset(
+        PinholeCamera(640, 480, 535.4, 539.2, 320.1, 247.6),
+        SensorNoise.structured_light(),
+        TUM_DEPTH_PER_METRE,
+    ),
+    # Nominal: every D435i is calibrated on its own (its camera_info says how), within a few pixels
+    # of this. 385 px is its depth imager's focal length at 640x480, 50 mm the baseline.
+    'd435i': CameraPreset(
+        PinholeCamera(640, 480, 615.0, 615.0, 319.5, 239.5),
+        SensorNoise.stereo(385.0, 0.05),
+        1000.0,
+    ),
+}
+
+
+def parse_intrinsics(text: str, width: int, height: int) -> PinholeCamera:
+    """`fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels to the camera of a `width` x `height` image.
+
+    Raises `SourceError` where the text is no such list or describes no camera.
+    """
+    try:
+        numbers = [float(word) for word in text.split(',')]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (4, 8, 9, 12):
+        raise SourceError(
+            f'camera {text!r} is neither one of {", ".join(PRESETS)} '
+            'nor fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels'
+        )
+    try:
+        fx, fy, cx, cy, *distortion = numbers
+        return PinholeCamera(width, height, fx, fy, cx, cy, tuple(distortion))
+    except CameraError as error:
+        raise SourceError(f'camera {text!r}: {error}') from error

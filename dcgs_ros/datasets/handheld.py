@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Endless smooth motions of a camera in a hand: slow sways, fast turns and shake."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+X, Y, Z, YAW, PITCH, ROLL = range(6)
+
+
+@dataclass(frozen=True)
+class Sway:
+    """One sine of one channel."""
+
+    channel: int
+    amplitude: float  # metres or degrees
+    period_s: float
+    phase: float = 0.0  # radians
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One quick change of one channel; its peak rate is 1.875 change / duration."""
+
+    channel: int
+    start_s: float  # within the cycle
+    change: float  # metres or degrees
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the hand means to do. Turns repeat every cycle and must add up to nothing."""
+
+    centre: tuple[float, ...]  # x y z metres, world; yaw pitch roll degrees
+    sways: tuple[Sway, ...]
+    turns: tuple[Turn, ...] = ()
+    cycle_s: float = 24.0
+    shake_m: float = 0.008  # amplitude at 1 Hz
+    shake_deg: float = 0.6  # amplitude at 1 Hz
+
+
+class HandHeldPath:
+    """A motion with the shake of one seed, played at some speed."""
+
+    def __init__(self, motion: Motion, seed: int, speed: float) -> None:
+        """Draw the shake: five sines a channel, 0.4-2.2 Hz, amplitude falling as 1 / f."""
+        self._motion, self._speed = motion, speed
+        rng = np.random.default_rng((seed, 1))
+        frequencies = np.exp(rng.uniform(np.log(0.4), np.log(2.2), (6, 5)))
+        amplitudes = np.array([motion.shake_m] * 3 + [motion.shake_deg] * 3)[:, None]
+        amplitudes = amplitudes * rng.uniform(0.3, 1.0, (6, 5)) / frequencies / np.sqrt(5)
+        self._frequencies, self._amplitudes = frequencies, amplitudes
+        self._phases = rng.uniform(0, 2 * np.pi, (6, 5))
+
+    def poses(self, times_s: NDArray) -> NDArray[np.float64]:
+        """T_world_cam (N, 4, 4) at times (N,): x right, y down, z forward; world z up."""
+        x, y, z, *angles = self._channels(np.asarray(times_s, np.float64) * self._speed)
+        yaw, pitch, roll = np.deg2rad(angles)
+        zero = np.zeros_like(yaw)
+        forward = np.stack(
+            [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1
+        )
+        level = np.stack([np.sin(yaw), -np.cos(yaw), zero], axis=1)
+        down = np.cross(forward, level)
+        c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
+        poses = np.tile(np.eye(4), (len(yaw), 1, 1))
+        poses[:, :3, 0] = c * level + s * down
+        poses[:, :3, 1] = c * down - s * level
+        poses[:, :3, 2] = forward
+        poses[:, :3, 3] = np.stack([x, y, z], axis=1)
+        return poses
+
+    def _channels(self, t: NDArray) -> NDArray[np.float64]:
+        """(6, N) positions in metres and angles in degrees at path times (N,)."""
+        motion = self._motion
+        values = np.tile(np.array(motion.centre)[:, None], (1, len(t)))
+        for sway in motion.sways:
+            values[sway.channel] += sway.amplitude * np.sin(
+                2 * np.pi * t / sway.period_s + sway.phase
+            )
+        for turn in motion.turns:
+            share = np.clip((t % motion.cycle_s - turn.start_s) / turn.duration_s, 0, 1)
+            values[turn.channel] += turn.change * share**3 * (share * (6 * share - 15) + 10)
+        for k in range(self._frequencies.shape[1]):
+            angle = 2 * np.pi * self._frequencies[:, k, None] * t + self._phases[:, k, None]
+            values += self._amplitudes[:, k, None] * np.sin(angle)
+        return values

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Kernels of the ray caster, all in one file: Numba's cache sees changes of no other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+BOX, SPHERE = 0, 1
+_TILE = 16  # pixels; a multiple of the vector width, small enough to cull well
+NEAR_M = 0.05
+FAR = np.float32(1e9)
+_BACKGROUND = np.float32(20.0)  # grey level where a ray meets nothing
+_PLAIN = np.float32(190.0)  # albedo of what has no texture
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline='always')
+def _box_slab(o, d, half):
+    """Entry and exit along one axis."""
+    d = d if abs(d) > np.float32(1e-9) else np.float32(1e-9)
+    inverse = np.float32(1.0) / d
+    first = (-half - o) * inverse
+    second = (half - o) * inverse
+    return min(first, second), max(first, second)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _meet_box(row_x, dy, o, R, half, prim, best, hit):
+    """Update the nearest hits of one row of a tile, branch-free so that it vectorises."""
+    zero, near = np.float32(0.0), np.float32(NEAR_M)
+    o0, o1, o2 = o[0], o[1], o[2]
+    h0, h1, h2 = half[0], half[1], half[2]
+    a0, a1, a2 = R[0, 0], R[1, 0], R[2, 0]
+    b0, b1, b2 = R[0, 1] * dy + R[0, 2], R[1, 1] * dy + R[1, 2], R[2, 1] * dy + R[2, 2]
+    for k in range(row_x.shape[0]):
+        dx = row_x[k]
+        in0, out0 = _box_slab(o0, a0 * dx + b0, h0)
+        in1, out1 = _box_slab(o1, a1 * dx + b1, h1)
+        in2, out2 = _box_slab(o2, a2 * dx + b2, h2)
+        enter = max(in0, max(in1, in2))
+        leave = min(out0, min(out1, out2))
+        s = enter if enter > zero else leave
+        closer = (enter <= leave) & (s > near) & (s < best[k])
+        best[k] = s if closer else best[k]
+        hit[k] = prim if closer else hit[k]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _meet_sphere(row_x, dy, o, R, radius, prim, best, hit):
+    """Update the nearest hits of one row of a tile."""
+    c = o[0] * o[0] + o[1] * o[1] + o[2] * o[2] - radius * radius
+    for k in range(row_x.shape[0]):
+        d0 = R[0, 0] * row_x[k] + R[0, 1] * dy + R[0, 2]
+        d1 = R[1, 0] * row_x[k] + R[1, 1] * dy + R[1, 2]
+        d2 = R[2, 0] * row_x[k] + R[2, 1] * dy + R[2, 2]
+        a = d0 * d0 + d1 * d1 + d2 * d2
+        b = o[0] * d0 + o[1] * d1 + o[2] * d2
+        root = b * b - a * c
+        if root > 0:
+            s = (-b - math.sqrt(root)) / a
+            if s > np.float32(NEAR_M) and s < best[k]:
+                best[k] = s
+                hit[k] = prim
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _surface(kind, ray, point, half):
+    """Return a hit's normal towards the camera, texture coordinates in metres, and face."""
+    p0, p1, p2 = point
+    zero, one = np.float32(0.0), np.float32(1.0)
+    if kind == SPHERE:
+        r = half[0]
+        lift = max(-one, min(one, p2 / r))
+        return (p0 / r, p1 / r, p2 / r), math.atan2(p1, p0) * r, math.asin(lift) * r, 0
+    # The face is the one whose plane the hit lies in, up to rounding.
+    e0, e1, e2 = abs(abs(p0) - half[0]), abs(abs(p1) - half[1]), abs(abs(p2) - half[2])
+    if e0 <= e1 and e0 <= e2:
+        return (-one if ray[0] > 0 else one, zero, zero), p1, p2, 1 if p0 > 0 else 2
+    if e1 <= e2:
+        return (zero, -one if ray[1] > 0 else one, zero), p0, p2, 3 if p1 > 0 else 4
+    return (zero, zero, -one if ray[2] > 0 else one), p0, p1, 5 if p2 > 0 else 6
+
+
+@njit(cache=True, nogil=True)
+def _lanes(texels, index, weight):
+    """Red, green and blue of a texel, each in 21 bits of one word, times a 13-bit weight."""
+    rgb = np.uint64(texels[index])
+    red = rgb & np.uint64(0xFF)
+    green = (rgb & np.uint64(0xFF00)) << np.uint64(13)
+    blue = (rgb & np.uint64(0xFF0000)) << np.uint64(26)
+    return (red | green | blue) * np.uint64(weight)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _sample(texels, start, size, u, v):
+    """Bilinear, wrapped sample (3) at (u, v) repeats, to 1/64 texel; integers, for speed."""
+    # Rounding towards zero, cheaper than down, errs by 1/64 texel at most.
+    x = int(u * np.float32(64 * size)) - 32
+    y = int(v * np.float32(64 * size)) - 32
+    fx, fy = x & 63, y & 63
+    x0, y0 = (x >> 6) & (size - 1), (y >> 6) & (size - 1)
+    x1, y1 = (x0 + 1) & (size - 1), (y0 + 1) & (size - 1)
+    row0, row1 = start + y0 * size, start + y1 * size
+    total = (
+        _lanes(texels, row0 + x0, (64 - fx) * (64 - fy))
+        + _lanes(texels, row0 + x1, fx * (64 - fy))
+        + _lanes(texels, row1 + x0, (64 - fx) * fy)
+        + _lanes(texels, row1 + x1, fx * fy)
+    )
+    lane, scale = np.uint64(0x1FFFFF), np.float32(1 / 4096)
+    return (
+        np.float32(np.int64(total & lane)) * scale,
+        np.float32(np.int64((total >> np.uint64(21)) & lane)) * scale,
+        np.float32(np.int64(total >> np.uint64(42))) * scale,
+    )
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _paint(texels, starts, texture, size, u, v, footprint):
+    """Trilinear sample (3) at (u, v) repeats under a pixel of `footprint` repeats."""
+    texel = max(np.float32(1.0), footprint * np.float32(size))
+    level = min(np.float32(math.log2(texel)), np.float32(starts.shape[1] - 1.001))
+    k = int(level)
+    r0, g0, b0 = _sample(texels, starts[texture, k], size >> k, u, v)
+    r1, g1, b1 = _sample(texels, starts[texture, k + 1], size >> (k + 1), u, v)
+    blend = level - np.float32(k)
+    return r0 + blend * (r1 - r0), g0 + blend * (g1 - g0), b0 + blend * (b1 - b0)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _light(normal, point, lamp, ambient):
+    """Lambert's law for a lamp at finite distance, on top of ambient light."""
+    l0, l1, l2 = lamp[0] - point[0], lamp[1] - point[1], lamp[2] - point[2]
+    square = l0 * l0 + l1 * l1 + l2 * l2
+    facing = max(np.float32(0.0), normal[0] * l0 + normal[1] * l1 + normal[2] * l2)
+    falloff = np.float32(4.0) / ((np.float32(2.0) + square) * math.sqrt(square))
+    return ambient + (np.float32(1.0) - ambient) * facing * falloff
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _trace_tile(prims, row_x, row_y, x0, y0):
+    """Depth and number of the nearest primitive of each pixel of a tile."""
+    best = np.full((row_y.shape[0], row_x.shape[0]), FAR, np.float32)
+    hit = np.full(best.shape, -1, np.int32)
+    x1, y1 = x0 + row_x.shape[0], y0 + row_y.shape[0]
+    farthest = FAR
+    for p in range(prims.kinds.shape[0]):
+        if prims.nearest[p] > farthest:
+            break
+        box = prims.bounds[p]
+        if box[0] >= x1 or box[1] < x0 or box[2] >= y1 or box[3] < y0:
+            continue
+        o, R, half = prims.origins[p], prims.rotations[p], prims.halves[p]
+        for k in range(row_y.shape[0]):
+            if prims.kinds[p] == SPHERE:
+                _meet_sphere(row_x, row_y[k], o, R, half[0], p, best[k], hit[k])
+            else:
+                _meet_box(row_x, row_y[k], o, R, half, p, best[k], hit[k])
+        farthest = best.max()
+    return best, hit
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _shade_tile(prims, textures, best, hit, row_x, row_y, pixel, ambient, depth, cosine, radiance):
+    """Write depth and slant of a tile's pixels and, unless radiance is empty, their colour."""
+    # All arrays of a tile are read here and only numbers passed on: tuples of arrays are dear.
+    R, o, h, lamps = prims.rotations, prims.origins, prims.halves, prims.lamps
+    mappings, tints = prims.mappings, prims.tints
+    texels, starts, size = textures.texels, textures.starts, textures.size
+    for y in range(row_y.shape[0]):
+        for x in range(row_x.shape[0]):
+            p, s, dx, dy = hit[y, x], best[y, x], row_x[x], row_y[y]
+            if p < 0:
+                depth[y, x] = cosine[y, x] = 0
+                if radiance.shape[0]:
+                    radiance[y, x, 0] = radiance[y, x, 1] = radiance[y, x, 2] = _BACKGROUND
+                continue
+            ray = (
+                R[p, 0, 0] * dx + R[p, 0, 1] * dy + R[p, 0, 2],
+                R[p, 1, 0] * dx + R[p, 1, 1] * dy + R[p, 1, 2],
+                R[p, 2, 0] * dx + R[p, 2, 1] * dy + R[p, 2, 2],
+            )
+            point = (o[p, 0] + s * ray[0], o[p, 1] + s * ray[1], o[p, 2] + s * ray[2])
+            half = (h[p, 0], h[p, 1], h[p, 2])
+            normal, u, v, face = _surface(prims.kinds[p], ray, point, half)
+            slant = abs(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2])
+            slant /= math.sqrt(np.float32(1.0) + dx * dx + dy * dy)
+            depth[y, x] = s
+            cosine[y, x] = slant
+            if radiance.shape[0]:
+                r = g = b = _PLAIN
+                k = prims.textures[p]
+                if k >= 0:
+                    repeats, part = mappings[p, 0], np.float32(face)
+                    # Each face shows another part of the texture.
+                    u = u * repeats + mappings[p, 1] + np.float32(0.173) * part
+                    v = v * repeats + mappings[p, 2] + np.float32(0.311) * part
+                    footprint = s * pixel * repeats / max(np.float32(0.2), slant)
+                    r, g, b = _paint(texels, starts, k, size, u, v, footprint)
+                light = _light(normal, point, (lamps[p, 0], lamps[p, 1], lamps[p, 2]), ambient)
+                radiance[y, x, 0] = light * tints[p, 0] * r
+                radiance[y, x, 1] = light * tints[p, 1] * g
+                radiance[y, x, 2] = light * tints[p, 2] * b
+
+
+@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+def cast_tiles(
+    prims,  # `Primitives`
+    ray_x,  # (W,) x/z of each column
+    ray_y,  # (H,) y/z of each row
+    pixel,  # extent of a pixel at depth 1
+    ambient,
+    textures,  # `Textures`
+    depth,  # (H, W) out
+    cosine,  # (H, W) out
+    radiance,  # (H, W, 3) out, or (0, 0, 3)
+):
+    """Render tile by tile; each holds its own few candidates in fast memory."""
+    height, width = depth.shape
+    columns = (width + _TILE - 1) // _TILE
+    rows = (height + _TILE - 1) // _TILE
+    for tile in prange(columns * rows):
+        x0, y0 = (tile % columns) * _TILE, (tile // columns) * _TILE
+        x1, y1 = min(x0 + _TILE, width), min(y0 + _TILE, height)
+        row_x, row_y = ray_x[x0:x1], ray_y[y0:y1]
+        best, hit = _trace_tile(prims, row_x, row_y, x0, y0)
+        _shade_tile(
+            prims,
+            textures,
+            best,
+            hit,
+            row_x,
+            row_y,
+            pixel,
+            ambient,
+            depth[y0:y1, x0:x1],
+            cosine[y0:y1, x0:x1],
+            radiance[y0:y1, x0:x1],
+        )

@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""An address opens its source, or says why not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dcgs_ros.datasets.open import open_source
+from dcgs_ros.datasets.source import SourceError
+from dcgs_ros.datasets.synthetic import SyntheticSource
+from dcgs_ros.datasets.tum import TumSource
+
+
+def test_a_folder_is_read_as_tum(tum_folder: Callable[..., Path]) -> None:
+    source = open_source(str(tum_folder('my_fr2_desk', frames=3)))
+    assert isinstance(source, TumSource)
+    assert source.name == 'my_fr2_desk'
+    assert len(source) == 3
+
+
+def test_camera_and_ground_truth_are_passed_on(tum_folder: Callable[..., Path]) -> None:
+    folder = tum_folder('office', frames=3)
+    truth = (folder / 'groundtruth.txt').rename(folder / 'truth.txt')
+    source = open_source(str(folder), camera='50,50,31.5,23.5', groundtruth=truth)
+    assert source.camera.fx == 50
+    assert source.groundtruth is not None
+
+
+def test_synthetic_addresses() -> None:
+    source = open_source('synthetic:room?frames=7')
+    assert isinstance(source, SyntheticSource)
+    assert len(source) == 7
+
+
+def test_synthetic_sources_have_their_own_camera() -> None:
+    with pytest.raises(SourceError, match='its own camera'):
+        open_source('synthetic:room', camera='fr1')
+
+
+def test_what_cannot_be_opened_is_told_why(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match='no such folder'):
+        open_source(str(tmp_path / 'nowhere'))
+    with pytest.raises(SourceError, match='no TUM dataset'):
+        open_source(str(tmp_path))
+    (tmp_path / 'file').touch()
+    with pytest.raises(SourceError, match='is a file'):
+        open_source(str(tmp_path / 'file'))

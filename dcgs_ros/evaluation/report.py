@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a run was, and the report that is made of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..core.tracker import TrackingState, TrackResult
+from ..core.trajectory import Trajectory
+from .trajectory import (
+    AteResult,
+    EvaluationError,
+    RpeResult,
+    absolute_trajectory_error,
+    relative_pose_error,
+)
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame that the tracker took, lost or not."""
+
+    index: int  # in the source, from 0
+    result: TrackResult
+    seconds: float  # inside `track`: neither decoding nor waiting for it
+    gaussians: int  # in the map afterwards
+
+
+@dataclass(frozen=True)
+class SkippedFrame:
+    """A frame that could not be read, or that the tracker refused."""
+
+    index: int
+    stamp_ns: int | None  # None: not read so far
+    name: str
+    reason: str
+
+
+@dataclass
+class RunRecord:
+    """What happened, frame by frame."""
+
+    source: str
+    ablation: str
+    tracked: list[TrackedFrame] = field(default_factory=list)
+    skipped: list[SkippedFrame] = field(default_factory=list)
+    wall_s: float = 0.0  # from the first frame asked for to the last one done, decoding included
+    interrupted: bool = True  # until the last frame is done
+
+    def trajectory(self) -> Trajectory:
+        """Poses of all frames; a lost one has the last good pose."""
+        return _trajectory(self.tracked)
+
+    def keyframes(self) -> Trajectory:
+        """Poses of the keyframes, as they were tracked."""
+        return _trajectory([frame for frame in self.tracked if frame.result.keyframe])
+
+    def count(self, *states: TrackingState) -> int:
+        """Count the frames in any of these states."""
+        return sum(frame.result.state in states for frame in self.tracked)
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How far a trajectory is from the truth; None with a reason where that cannot be told."""
+
+    ate: AteResult | None = None
+    rpe_1s: RpeResult | None = None
+    why_no_ate: str = 'there is no ground truth'
+    why_no_rpe: str = 'there is no ground truth'
+
+
+def assess(estimate: Trajectory, truth: Trajectory | None) -> Accuracy:
+    """Compute ATE and RPE over 1 s, each where there is enough to compute it from."""
+    if truth is None:
+        return Accuracy()
+    try:
+        ate = absolute_trajectory_error(estimate, truth)
+    except EvaluationError as error:
+        return Accuracy(why_no_ate=str(error), why_no_rpe=str(error))
+    try:
+        return Accuracy(ate, relative_pose_error(estimate, truth))
+    except EvaluationError as error:
+        return Accuracy(ate, why_no_rpe=str(error))
+
+
+def build_report(
+    record: RunRecord, accuracy: Accuracy, machine: str, peak_rss_mb: float | None, version: str
+) -> dict[str, Any]:
+    """Report a run of at least one tracked frame, as JSON has it: what is not finite is None.
+
+    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes the `degenerate` ones. `tracking`
+    is over the time inside `track` alone. Decoding, and waiting for it, is in `wall_s`; starting
+    and writing are in neither. `realtime_factor` is the sequence's duration over `wall_s`.
+    """
+    stamps = [record.tracked[k].result.stamp_ns for k in (0, -1)]
+    last = record.tracked[-1]
+    report = {
+        'source': record.source,
+        'ablation': record.ablation,
+        'frames': len(record.tracked) + len(record.skipped),
+        'tracked': record.count(TrackingState.OK, TrackingState.DEGENERATE),
+        'degenerate': record.count(TrackingState.DEGENERATE),
+        'lost': record.count(TrackingState.LOST),
+        'skipped': len(record.skipped),
+        'keyframes': sum(frame.result.keyframe for frame in record.tracked),
+        'interrupted': record.interrupted,
+        'tracking': _speed(record),
+        **accuracy_report(accuracy),
+        'mapping': {'gaussians': last.gaussians, 'iterations': 0, 'iterations_per_s': 0.0},
+        'rendering': None,
+        'timing': {'colour_depth_offset_ms': last.result.colour_depth_offset_ms},
+        'observability': _observability(record),
+        'wall_s': record.wall_s,
+        'realtime_factor': (stamps[1] - stamps[0]) * 1e-9 / max(record.wall_s, 1e-9),
+        'peak_rss_mb': peak_rss_mb,
+        'machine': machine,
+        'version': version,
+    }
+    finite = _finite(report)
+    assert isinstance(finite, dict)
+    return finite
+
+
+def accuracy_report(accuracy: Accuracy) -> dict[str, dict[str, float] | None]:
+    """Make the parts `ate` and `rpe_1s` of a report."""
+    ate, rpe = accuracy.ate, accuracy.rpe_1s
+    keys = ('rmse_cm', 'mean_cm', 'median_cm', 'max_cm')
+    return {
+        'ate': None if ate is None else {key: getattr(ate, key) for key in keys},
+        'rpe_1s': None
+        if rpe is None
+        else {'trans_rmse_cm': rpe.trans_rmse_cm, 'rot_rmse_deg': rpe.rot_rmse_deg},
+    }
+
+
+def _trajectory(frames: list[TrackedFrame]) -> Trajectory:
+    poses = np.array([frame.result.T_world_cam for frame in frames], dtype=np.float64)
+    return Trajectory(
+        np.array([frame.result.stamp_ns for frame in frames], dtype=np.int64),
+        poses.reshape(-1, 4, 4),
+    )
+
+
+def _speed(record: RunRecord) -> dict[str, float]:
+    seconds = np.array([frame.seconds for frame in record.tracked])
+    median, p95, p99 = np.percentile(1e3 * seconds, [50, 95, 99]).tolist()
+    mean = float(len(seconds) / seconds.sum())
+    return {'fps_mean': mean, 'ms_median': median, 'ms_p95': p95, 'ms_p99': p99}
+
+
+def _observability(record: RunRecord) -> dict[str, float | None]:
+    """Take medians over the frames that have a Hessian: not the first, not the lost."""
+    known = [frame.result.observability for frame in record.tracked]
+    report: dict[str, float | None] = {}
+    for name in ('kappa', 'kappa_without_radius', 'kappa_rotation', 'kappa_translation'):
+        values = [getattr(o, name) for o in known if o is not None]
+        report[f'{name}_median'] = float(np.median(values)) if values else None
+    return report
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON cannot hold by None."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far an estimated trajectory is from the true one: ATE and RPE."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ..core.errors import DcgsError
+from ..core.trajectory import Trajectory
+
+MAX_GAP_NS = 20_000_000  # poses farther apart in time are not compared
+MIN_MATCHES = 3  # fewer points leave the alignment free
+
+
+class EvaluationError(DcgsError):
+    """The two trajectories cannot be compared."""
+
+
+@dataclass(frozen=True)
+class AteResult:
+    """Absolute trajectory error: distances of positions after a rigid alignment."""
+
+    rmse_cm: float
+    mean_cm: float  # what some publications print as RMSE
+    median_cm: float
+    max_cm: float
+    matched: int  # poses compared
+    poses: int  # poses estimated
+    stamps_ns: NDArray[np.int64]  # (matched,) of the estimate
+    errors_m: NDArray[np.float64]  # (matched,)
+    T_truth_estimate: NDArray[np.float64]  # (4, 4) the alignment: estimate's world to truth's
+
+
+@dataclass(frozen=True)
+class RpeResult:
+    """Relative pose error: the drift over a fixed time."""
+
+    trans_rmse_cm: float
+    rot_rmse_deg: float
+    pairs: int
+
+
+def associate(
+    estimate: Trajectory, truth: Trajectory, max_gap_ns: int = MAX_GAP_NS
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Match poses taken at the same time: indices into `estimate` and into `truth`.
+
+    Each pose of the trajectory with fewer poses is matched to the nearest of the other, the
+    earlier of two equally near, if within `max_gap_ns`; so the one with more may give a pose
+    twice. This is evo's rule. Raises `EvaluationError` for fewer than three matches.
+    """
+    if not len(estimate) or not len(truth):
+        raise EvaluationError(f'{len(estimate)} estimated and {len(truth)} true poses')
+    # evo's tie: of two equally long the estimate counts as the shorter.
+    estimate_is_shorter = len(estimate) <= len(truth)
+    short, long = (estimate, truth) if estimate_is_shorter else (truth, estimate)
+    right = np.clip(np.searchsorted(long.stamps_ns, short.stamps_ns), 1, max(len(long) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(long) - 1)
+    gap_left = np.abs(short.stamps_ns - long.stamps_ns[left])
+    gap_right = np.abs(long.stamps_ns[right] - short.stamps_ns)
+    nearest = np.where(gap_left <= gap_right, left, right)
+    gaps = np.minimum(gap_left, gap_right)
+    kept = np.flatnonzero(gaps <= max_gap_ns)
+    if len(kept) < MIN_MATCHES:
+        raise EvaluationError(
+            f'found {len(kept)} of {len(short)} poses within {max_gap_ns / 1e6:g} ms, need '
+            f'{MIN_MATCHES}: smallest gap {gaps.min() / 1e6:.0f} ms, '
+            f'largest {gaps.max() / 1e6:.0f} ms'
+        )
+    return (kept, nearest[kept]) if estimate_is_shorter else (nearest[kept], kept)
+
+
+def align_umeyama(points: NDArray, targets: NDArray) -> NDArray[np.float64]:
+    """Find T_target_point (4, 4), the rigid motion without scale of least squared distances.
+
+    `points` and `targets` are (N, 3), metres. Umeyama 1991. Where all points lie on a line the
+    turn about it is arbitrary; the distances left over are the least ones all the same.
+    """
+    points, targets = np.asarray(points, np.float64), np.asarray(targets, np.float64)
+    mean_point, mean_target = points.mean(axis=0), targets.mean(axis=0)
+    covariance = (targets - mean_target).T @ (points - mean_point)
+    u, _, vt = np.linalg.svd(covariance)
+    proper = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    T_target_point = np.eye(4)
+    T_target_point[:3, :3] = (u * proper) @ vt
+    T_target_point[:3, 3] = mean_target - T_target_point[:3, :3] @ mean_point
+    return T_target_point
+
+
+def absolute_trajectory_error(
+    estimate: Trajectory, truth: Trajectory, max_gap_ns: int = MAX_GAP_NS
+) -> AteResult:
+    """Compute the ATE over all estimated poses that have a true one, after `align_umeyama`."""
+    i, j = associate(estimate, truth, max_gap_ns)
+    points = estimate.T_world_cam[i, :3, 3]
+    targets = truth.T_world_cam[j, :3, 3]
+    T_truth_estimate = align_umeyama(points, targets)
+    aligned = points @ T_truth_estimate[:3, :3].T + T_truth_estimate[:3, 3]
+    errors = np.linalg.norm(targets - aligned, axis=1)
+    return AteResult(
+        rmse_cm=100 * _rms(errors),
+        mean_cm=100 * float(errors.mean()),
+        median_cm=100 * float(np.median(errors)),
+        max_cm=100 * float(errors.max()),
+        matched=len(i),
+        poses=len(estimate),
+        stamps_ns=estimate.stamps_ns[i],
+        errors_m=errors,
+        T_truth_estimate=T_truth_estimate,
+    )
+
+
+def relative_pose_error(
+    estimate: Trajectory,
+    truth: Trajectory,
+    delta_ns: int = 1_000_000_000,
+    tolerance_ns: int = MAX_GAP_NS,
+    max_gap_ns: int = MAX_GAP_NS,
+) -> RpeResult:
+    """Compute the RPE over `delta_ns`, from each pose to the one nearest to that much later.
+
+    The later pose may be `tolerance_ns` off; poses without one are left out (so is what spans a
+    gap). Raises `EvaluationError` if no pair is left.
+    """
+    i, j = associate(estimate, truth, max_gap_ns)
+    stamps = estimate.stamps_ns[i]
+    wanted = stamps + delta_ns
+    after = np.clip(np.searchsorted(stamps, wanted), 1, len(stamps) - 1)
+    end = np.where(wanted - stamps[after - 1] <= stamps[after] - wanted, after - 1, after)
+    start = np.flatnonzero(np.abs(stamps[end] - wanted) <= tolerance_ns)
+    if not len(start):
+        raise EvaluationError(
+            f'no two of {len(stamps)} matched poses are {delta_ns / 1e9:g} s apart: '
+            f'they span {(stamps[-1] - stamps[0]) / 1e9:.2f} s'
+        )
+    end = end[start]
+    moved = _relative(estimate.T_world_cam[i], start, end)
+    moved_truly = _relative(truth.T_world_cam[j], start, end)
+    error = np.linalg.inv(moved_truly) @ moved
+    angles = Rotation.from_matrix(error[:, :3, :3]).magnitude()
+    return RpeResult(
+        trans_rmse_cm=100 * _rms(np.linalg.norm(error[:, :3, 3], axis=1)),
+        rot_rmse_deg=float(np.degrees(_rms(angles))),
+        pairs=len(start),
+    )
+
+
+def _relative(poses: NDArray, start: NDArray, end: NDArray) -> NDArray[np.float64]:
+    """T_start_end, (N, 4, 4)."""
+    return np.linalg.inv(poses[start]) @ poses[end]
+
+
+def _rms(values: NDArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The report counts and measures what the record holds, and is strict JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dcgs_ros.core import se3
+from dcgs_ros.core.observability import Observability
+from dcgs_ros.core.tracker import TrackingState, TrackResult
+from dcgs_ros.core.trajectory import Trajectory
+from dcgs_ros.evaluation.report import (
+    Accuracy,
+    RunRecord,
+    SkippedFrame,
+    TrackedFrame,
+    assess,
+    build_report,
+)
+
+FRAME_NS = 50_000_000
+ROUNDING = 1e-9
+
+
+def spectrum(kappa: float) -> Observability:
+    return Observability(
+        np.ones(6), np.eye(6)[0], kappa, 2 * kappa, 3 * kappa, 4 * kappa, block_ratio=1.0
+    )
+
+
+def tracked(
+    index: int,
+    state: TrackingState = TrackingState.OK,
+    seconds: float = 0.01,
+    kappa: float | None = None,
+    keyframe: bool = False,
+) -> TrackedFrame:
+    """Make a frame of a camera that swings sideways."""
+    T_world_cam = se3.exp(np.array([np.sin(0.3 * index), 0.1 * index, 0, 0, 0, 0.02 * index]))
+    result = TrackResult(
+        stamp_ns=index * FRAME_NS,
+        T_world_cam=T_world_cam,
+        covariance=np.eye(6),
+        state=state,
+        observability=None if kappa is None else spectrum(kappa),
+        points=100,
+        inliers=90,
+        landmarks=10,
+        keyframe=keyframe,
+        spawned=np.empty(0, np.int64),
+        colour_depth_offset_ms=0.1 * index,
+    )
+    return TrackedFrame(index, result, seconds, gaussians=1000 * index)
+
+
+def a_record() -> RunRecord:
+    record = RunRecord('room', 'full', wall_s=0.5, interrupted=False)
+    record.tracked = [
+        tracked(0, seconds=0.04, keyframe=True),
+        tracked(1, kappa=5.0),
+        tracked(3, TrackingState.DEGENERATE, kappa=100.0, keyframe=True),
+        tracked(4, TrackingState.LOST),
+        tracked(5, kappa=7.0, seconds=0.02),
+    ]
+    record.skipped = [SkippedFrame(2, None, 'frame 3 of 6', 'cut off')]
+    return record
+
+
+def report_of(record: RunRecord, accuracy: Accuracy | None = None) -> dict:
+    return build_report(record, accuracy or Accuracy(), '2 x CPU', 321.0, '1.2.3')
+
+
+def test_frames_are_counted_once_each() -> None:
+    report = report_of(a_record())
+    assert report['frames'] == 6
+    assert (report['tracked'], report['lost'], report['skipped']) == (4, 1, 1)
+    assert report['degenerate'] == 1  # among the tracked
+    assert report['keyframes'] == 2
+    assert report['interrupted'] is False
+
+
+def test_speed_is_frames_over_the_time_inside_track() -> None:
+    report = report_of(a_record())
+    speed = report['tracking']
+    assert speed['fps_mean'] == pytest.approx(5 / 0.09)
+    assert speed['ms_median'] == pytest.approx(10.0)
+    assert speed['ms_median'] <= speed['ms_p95'] <= speed['ms_p99'] <= 40.0
+    assert report['wall_s'] == 0.5
+    assert report['realtime_factor'] == pytest.approx(5 * FRAME_NS * 1e-9 / 0.5)
+
+
+def test_kappas_are_medians_over_frames_that_have_them() -> None:
+    assert report_of(a_record())['observability'] == {
+        'kappa_median': 7.0,
+        'kappa_without_radius_median': 14.0,
+        'kappa_rotation_median': 21.0,
+        'kappa_translation_median': 28.0,
+    }
+
+
+def test_map_and_offset_are_those_at_the_end() -> None:
+    report = report_of(a_record())
+    assert report['mapping'] == {'gaussians': 5000, 'iterations': 0, 'iterations_per_s': 0.0}
+    assert report['timing'] == {'colour_depth_offset_ms': pytest.approx(0.5)}
+
+
+def test_one_frame_and_no_truth_make_a_report_of_strict_json() -> None:
+    record = RunRecord('room', 'full', tracked=[tracked(0)])
+    report = report_of(record)
+    assert report['ate'] is None
+    assert report['rpe_1s'] is None
+    assert report['observability']['kappa_median'] is None
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+
+
+def test_what_is_not_finite_becomes_null() -> None:
+    record = a_record()
+    record.tracked.append(tracked(6, kappa=float('inf')))
+    record.tracked.append(tracked(7, kappa=float('inf')))
+    record.tracked.append(tracked(8, kappa=float('nan')))
+    record.wall_s = float('inf')
+    report = report_of(record)
+    assert report['observability']['kappa_median'] is None
+    assert report['wall_s'] is None
+    json.dumps(report, allow_nan=False)
+
+
+def test_trajectories_hold_lost_frames_and_keyframes() -> None:
+    record = a_record()
+    estimate, keyframes = record.trajectory(), record.keyframes()
+    assert estimate.stamps_ns.tolist() == [k * FRAME_NS for k in (0, 1, 3, 4, 5)]
+    assert keyframes.stamps_ns.tolist() == [0, 3 * FRAME_NS]
+    np.testing.assert_array_equal(keyframes.T_world_cam, estimate.T_world_cam[[0, 2]])
+    assert len(RunRecord('room', 'full').trajectory()) == 0
+
+
+def a_trajectory(frames: int) -> Trajectory:
+    record = RunRecord('room', 'full', tracked=[tracked(k) for k in range(frames)])
+    return record.trajectory()
+
+
+def test_accuracy_of_a_moved_copy_is_perfect() -> None:
+    truth = a_trajectory(30)
+    T = se3.exp(np.array([1.0, -2.0, 3.0, 0.4, 0.5, -0.6]))
+    accuracy = assess(replace(truth, T_world_cam=T @ truth.T_world_cam), truth)
+    assert accuracy.ate is not None
+    assert accuracy.rpe_1s is not None
+    report = report_of(a_record(), accuracy)
+    assert list(report['ate']) == ['rmse_cm', 'mean_cm', 'median_cm', 'max_cm']
+    assert list(report['rpe_1s']) == ['trans_rmse_cm', 'rot_rmse_deg']
+    assert report['ate']['max_cm'] < ROUNDING
+    assert report['rpe_1s']['trans_rmse_cm'] < ROUNDING
+
+
+def test_what_cannot_be_compared_says_why() -> None:
+    assert assess(a_trajectory(5), None) == Accuracy()
+    short = assess(a_trajectory(5), a_trajectory(5))
+    assert short.ate is not None
+    assert short.rpe_1s is None
+    assert '1 s apart' in short.why_no_rpe
+    truth = a_trajectory(5)
+    late = replace(truth, stamps_ns=truth.stamps_ns + 10**12)
+    none = assess(a_trajectory(5), late)
+    assert none.ate is None
+    assert none.rpe_1s is None
+    assert 'found 0 of 5' in none.why_no_ate

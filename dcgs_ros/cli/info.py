@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""`dcgs info`: what a sequence is, before anything is tracked."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from itertools import islice
+
+import numpy as np
+
+from ..core.camera import PinholeCamera
+from ..core.frame import RgbdFrame
+from ..core.sensor import SensorNoise
+from ..core.trajectory import Trajectory
+from ..datasets.open import open_source
+from ..datasets.prefetch import prefetch
+from ..datasets.source import BadFrame, Source
+from .arguments import InfoArguments
+from .summary import Row, table
+
+_SAMPLE = 60  # frames read, from the first
+
+
+def execute(arguments: InfoArguments) -> int:
+    """Print what the files say and what the first frames hold."""
+    source = open_source(arguments.source, arguments.camera)
+    frames, bad = _sample(source)
+    rows = [
+        ('frames', f'{len(source)}; what follows is of the first {len(frames) + len(bad)}'),
+        *_timing_rows(frames, len(source)),
+        ('camera', _camera(source.camera)),
+        ('sensor', _sensor(source.sensor)),
+        *_depth_rows(frames, source.sensor),
+        ('ground truth', _truth(source.groundtruth)),
+        ('bad frames', f'{len(bad)} in the sample'),
+        *[('', f'{item.name}: {item.reason}') for item in bad],
+    ]
+    print(table(source.name, rows))
+    return 0
+
+
+def _sample(source: Source) -> tuple[list[RgbdFrame], list[BadFrame]]:
+    with closing(prefetch(islice(source, _SAMPLE))) as items:
+        sample = list(items)
+    frames = [item for item in sample if isinstance(item, RgbdFrame)]
+    return frames, [item for item in sample if isinstance(item, BadFrame)]
+
+
+def _timing_rows(frames: list[RgbdFrame], total: int) -> list[Row]:
+    """Rate from the median interval; the duration of all frames is told from it."""
+    if len(frames) < 2:
+        return []
+    intervals_s = 1e-9 * np.diff([frame.stamp_ns for frame in frames])
+    interval_s = float(np.median(intervals_s))
+    lags_ms = 1e-6 * np.array([frame.depth_stamp_ns - frame.stamp_ns for frame in frames])
+    low, high = np.percentile(lags_ms, [5, 95])
+    return [
+        ('rate', f'{1 / interval_s:.1f} Hz; longest gap {1e3 * intervals_s.max():.0f} ms'),
+        ('duration', f'about {(total - 1) * interval_s:.1f} s at this rate'),
+        (
+            'depth stamp',
+            f"{np.median(lags_ms):+.1f} ms from colour's (median; 5-95 %: "
+            f'{low:+.1f} to {high:+.1f})',
+        ),
+    ]
+
+
+def _depth_rows(frames: list[RgbdFrame], sensor: SensorNoise) -> list[Row]:
+    if not frames:
+        return []
+    depths = np.concatenate([frame.depth_m[::4, ::4].ravel() for frame in frames])
+    measured = depths[depths > 0]
+    usable = (measured >= sensor.depth_min_m) & (measured <= sensor.depth_max_m)
+    low, median, high = np.percentile(measured, [5, 50, 95])
+    return [
+        (
+            'depth',
+            f'{100 * len(measured) / len(depths):.0f} % of the pixels, '
+            f"{100 * usable.sum() / len(depths):.0f} % in the sensor's range",
+        ),
+        ('depth range', f'{low:.2f} to {high:.2f} m (5-95 %), median {median:.2f}'),
+    ]
+
+
+def _camera(camera: PinholeCamera) -> str:
+    lens = ' '.join(f'{k:g}' for k in camera.distortion)
+    return (
+        f'{camera.width}x{camera.height}; fx {camera.fx:g} fy {camera.fy:g} cx {camera.cx:g} '
+        f'cy {camera.cy:g}; ' + (f'distortion {lens}' if lens else 'no distortion')
+    )
+
+
+def _sensor(sensor: SensorNoise) -> str:
+    return (
+        f'sigma(z) = {1e3 * sensor.a_m:g} mm + {1e3 * sensor.b_per_m:.3g} mm/m^2 z^2, used from '
+        f'{sensor.depth_min_m:g} to {sensor.depth_max_m:g} m'
+    )
+
+
+def _truth(truth: Trajectory | None) -> str:
+    if truth is None:
+        return 'none'
+    way_m = np.linalg.norm(np.diff(truth.T_world_cam[:, :3, 3], axis=0), axis=1).sum()
+    seconds = (truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    return f'{len(truth)} poses, {seconds:.1f} s, {way_m:.2f} m'

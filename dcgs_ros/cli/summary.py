@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables for people: two columns, a title above them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..evaluation.report import Accuracy
+
+Row = tuple[str, str]
+
+
+def table(title: str, rows: Sequence[Row]) -> str:
+    """Set the second column flush."""
+    width = max(len(label) for label, _ in rows)
+    return '\n'.join([title, *(f'  {label:<{width}}  {text}' for label, text in rows)])
+
+
+def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str:
+    """Show a report and where the files are."""
+    speed = report['tracking']
+    title = f'{report["source"]} ({report["ablation"]})'
+    if report['interrupted']:
+        title += ', interrupted'
+    offset_ms = report['timing']['colour_depth_offset_ms']
+    rows = [
+        ('frames', _counts(report)),
+        *accuracy_rows(accuracy),
+        (
+            'tracking',
+            f'{speed["fps_mean"]:.0f} fps mean; {speed["ms_median"]:.1f} ms median, '
+            f'{speed["ms_p95"]:.1f} p95, {speed["ms_p99"]:.1f} p99 (decoding excluded)',
+        ),
+        (
+            'wall time',
+            f'{report["wall_s"]:.1f} s, decoding included: '
+            f'{report["realtime_factor"]:.2f} x real time',
+        ),
+        ('depth offset', f'{offset_ms:+.1f} ms, of depth against its stamp'),
+        ('Gaussians', f'{report["mapping"]["gaussians"]}'),
+        ('kappa', _kappas(report['observability'])),
+        ('memory', f'{_number(report["peak_rss_mb"])} MB at most'),
+        ('trajectory', str(folder / 'trajectory.tum')),
+        ('plot', str(folder / 'trajectory.png')),
+        ('run folder', str(folder)),
+    ]
+    return table(title, rows)
+
+
+def accuracy_rows(accuracy: Accuracy) -> list[Row]:
+    """Show ATE and RPE, or why there is none."""
+    ate, rpe = accuracy.ate, accuracy.rpe_1s
+    return [
+        (
+            'ATE',
+            f'not computed: {accuracy.why_no_ate}'
+            if ate is None
+            else f'{ate.rmse_cm:.2f} cm RMSE; {ate.mean_cm:.2f} mean, {ate.median_cm:.2f} median, '
+            f'{ate.max_cm:.2f} max ({ate.matched} of {ate.poses} poses)',
+        ),
+        (
+            'RPE over 1 s',
+            f'not computed: {accuracy.why_no_rpe}'
+            if rpe is None
+            else f'{rpe.trans_rmse_cm:.2f} cm, {rpe.rot_rmse_deg:.2f} deg RMSE '
+            f'({rpe.pairs} pairs)',
+        ),
+    ]
+
+
+def _counts(report: dict[str, Any]) -> str:
+    degenerate = f' ({report["degenerate"]} degenerate)' if report['degenerate'] else ''
+    return (
+        f'{report["frames"]}: {report["tracked"]} tracked{degenerate}, {report["lost"]} lost, '
+        f'{report["skipped"]} skipped; {report["keyframes"]} keyframes'
+    )
+
+
+def _kappas(medians: dict[str, float | None]) -> str:
+    return (
+        f'{_number(medians["kappa_median"])} median; '
+        f'without radius {_number(medians["kappa_without_radius_median"])}, '
+        f'rotation {_number(medians["kappa_rotation_median"])}, '
+        f'translation {_number(medians["kappa_translation_median"])}'
+    )
+
+
+def _number(value: float | None) -> str:
+    return 'none' if value is None else f'{value:.0f}'

@@ -1,0 +1,184 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The command line: what it refuses, in one line each, and how quickly it is there."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dcgs_ros import __version__
+from dcgs_ros.cli.main import main
+from dcgs_ros.core.config import Config, flatten
+
+Writer = Callable[..., Path]
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images of `tum_folder`
+PLANE = 'synthetic:plane?frames=2&sensor=ideal'
+Refusal = Callable[..., str]
+
+
+@pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Refusal:
+    """Return the one line that a command is refused with; nothing is left behind."""
+
+    def refuse(*words: str) -> str:
+        out = tmp_path / 'out'
+        extra = ('--out', str(out)) if words[0] == 'run' and '--out' not in words else ()
+        assert main([*words, *extra]) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ''
+        assert not out.exists()
+        lines = captured.err.splitlines()
+        notices = ('dcgs: tracking', 'dcgs: skipped', 'dcgs: compiling')
+        lines = [line for line in lines if not line.startswith(notices)]
+        assert len(lines) == 1
+        assert lines[0].startswith('dcgs: ')
+        return lines[0]
+
+    return refuse
+
+
+@pytest.mark.parametrize(
+    ('words', 'reason'),
+    [
+        (['--max-frames', '0'], '--max-frames 0'),
+        (['--max-frames', '-3'], '--max-frames -3'),
+        (['--ablation', 'best'], "'best'"),
+        (['--set', 'sensor.a_m'], '--set sensor.a_m: expected stage.field=value'),
+        (['--set', 'sensor.a_m=wide'], "'wide'"),
+        (['--set', 'sensor.a_m=-1'], 'a_m > 0'),
+        (['--set', 'threads=1', 'cloud.stride_px=1.5'], 'cloud.stride_px'),
+        (['--config', 'missing.yaml'], 'missing.yaml: cannot be read'),
+        (['--camera', 'fr1'], 'brings its own camera'),
+        (['--groundtruth', 'truth.tum'], 'brings its own camera'),
+    ],
+)
+def test_arguments_that_make_no_sense(refusal: Refusal, words: list[str], reason: str) -> None:
+    assert reason in refusal('run', PLANE, *words)
+
+
+def test_an_unknown_setting_is_answered_with_the_valid_ones(refusal: Refusal) -> None:
+    line = refusal('run', PLANE, '--set', 'sensor.a_mm=1')
+    assert all(key in line for key in flatten(Config()))
+
+
+@pytest.mark.parametrize('verb', ['run', 'info'])
+def test_what_is_no_sequence(refusal: Refusal, tmp_path: Path, verb: str) -> None:
+    file = tmp_path / 'file.txt'
+    file.write_text('x')
+    (tmp_path / 'empty').mkdir()
+    assert 'no such folder' in refusal(verb, str(tmp_path / 'missing'))
+    assert 'is a file' in refusal(verb, str(file))
+    assert str(tmp_path / 'empty') in refusal(verb, str(tmp_path / 'empty'))
+    assert 'room' in refusal(verb, 'synthetic:attic')
+    assert 'frames' in refusal(verb, 'synthetic:room?frame=3')
+
+
+def test_broken_datasets(refusal: Refusal, tum_folder: Writer) -> None:
+    folder = tum_folder(name='nameless')
+    assert '--camera' in refusal('run', str(folder))
+    words = ('run', str(folder), '--camera', SMALL)
+    index = folder / 'rgb.txt'
+    good = index.read_text()
+    lines = good.splitlines()
+    index.write_text('\n'.join([lines[0], lines[2], lines[1], *lines[3:]]))
+    assert 'rgb.txt' in refusal(*words)
+    index.write_text(good.replace(' rgb', '9 rgb').replace('100.', '300.'))
+    assert 'no' in refusal(*words)
+    index.write_text(good)
+    truth = folder / 'groundtruth.txt'
+    truth.write_text('100 nan 0 0 0 0 0 1\n')
+    assert 'groundtruth.txt' in refusal(*words)
+    assert 'nan' in refusal(*words)
+    truth.unlink()
+    assert 'missing.tum' in refusal(*words, '--groundtruth', 'missing.tum')
+
+
+def test_depth_that_is_zero_in_all_frames(refusal: Refusal, tum_folder: Writer) -> None:
+    folder = tum_folder(frames=5)
+    _, data = cv2.imencode('.png', np.zeros((48, 64), np.uint16))
+    for path in (folder / 'depth').iterdir():
+        path.write_bytes(data.tobytes())
+    line = refusal('run', str(folder), '--camera', SMALL)
+    assert line.startswith('dcgs: no usable frame: 5 of 5 skipped; the first: frame 1 of 5')
+    assert 'zero' in line
+
+
+def test_a_folder_in_use_is_refused_before_any_work(refusal: Refusal, tmp_path: Path) -> None:
+    used = tmp_path / 'used'
+    used.mkdir()
+    (used / 'notes.txt').write_text('mine')
+    # The source does not exist either: the folder is looked at first.
+    assert 'not empty' in refusal('run', 'nowhere', '--out', str(used))
+    assert [path.name for path in used.iterdir()] == ['notes.txt']
+    assert 'is a file' in refusal('run', 'nowhere', '--out', str(used / 'notes.txt'))
+
+
+def test_a_folder_that_cannot_be_made_is_named(refusal: Refusal, tmp_path: Path) -> None:
+    (tmp_path / 'file').write_text('')
+    below = str(tmp_path / 'file' / 'below')
+    assert below in refusal('run', PLANE, '--out', below)
+
+
+def test_evaluate_names_the_file_that_is_wrong(refusal: Refusal, tmp_path: Path) -> None:
+    good, bad, late = (tmp_path / f'{name}.tum' for name in ('good', 'bad', 'late'))
+    poses = [f'{k} {k * k} 0 0 0 0 0 1\n' for k in range(5)]
+    good.write_text(''.join(poses))
+    bad.write_text(poses[0] + '1 nan 0 0 0 0 0 1\n')
+    late.write_text(''.join(f'9{line}' for line in poses))
+    assert f'{bad}' in refusal('evaluate', str(good), str(bad))
+    assert 'missing.tum' in refusal('evaluate', 'missing.tum', str(good))
+    assert 'found 0 of 5 poses' in refusal('evaluate', str(good), str(late))
+
+
+@pytest.mark.parametrize('words', [[], ['run'], ['fly', 'x'], ['run', 'x', '--fast'], ['info']])
+def test_unknown_words_end_with_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    assert capsys.readouterr().err
+
+
+def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['--version']) == 0
+    assert capsys.readouterr().out == f'dcgs {__version__}\n'
+
+
+@pytest.mark.parametrize('verb', ['run', 'evaluate', 'info'])
+def test_every_verb_has_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([verb, '--help'])
+    assert not caught.value.code
+    assert '--help' in capsys.readouterr().out
+
+
+def loaded_after(code: str) -> set[str]:
+    code += '; import sys; print(*sys.modules)'
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split())
+
+
+def test_help_waits_for_nothing_and_a_run_not_for_the_plot() -> None:
+    light = loaded_after('import dcgs_ros.cli.main')
+    assert not light & {'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
+    running = loaded_after('import dcgs_ros.cli.run')
+    assert 'numba' in running
+    assert 'matplotlib' not in running
+
+
+def test_the_module_is_the_command() -> None:
+    command = [sys.executable, '-m', 'dcgs_ros.cli', 'evaluate', 'a', 'b']
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == f'dcgs: a: cannot be read: {os.strerror(2)}\n'

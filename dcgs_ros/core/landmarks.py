@@ -82,11 +82,11 @@ class Landmarks:
         if not len(self):
             return self
         before, after = self.seen_from(T_world_previous), self.seen_from(T_world_predicted)
-        alive = self[(before[:, 2] > 0.05) & (after[:, 2] > 0.05)]
+        ahead = (before[:, 2] > 0.05) & (after[:, 2] > 0.05)
+        alive = self[ahead]
         if not len(alive):
             return alive
-        before, after = alive.seen_from(T_world_previous), alive.seen_from(T_world_predicted)
-        guess = alive.pixels + camera.project(after) - camera.project(before)
+        guess = alive.pixels + camera.project(after[ahead]) - camera.project(before[ahead])
         pixels, found = _klt(previous, grey, alive.pixels, guess, config.levels, config)
         back, returned = _klt(grey, previous, pixels, alive.pixels, min(1, config.levels), config)
         found &= returned & (np.abs(back - alive.pixels).max(axis=1) < config.back_check_px)

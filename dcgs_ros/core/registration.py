@@ -154,10 +154,12 @@ def register(
     T = se3.orthonormalised(T)
     sharp_depth = pairs.along_normals(T)
     sharp = sharp_depth if pairs.Q is None else sharp_depth.limited(pairs.Q)
+    equations = pairs.normal_equations(T)
     if image is not None:
-        sharp = sharp + image.normal_equations(T)
+        image_equations = image.normal_equations(T)
+        equations, sharp = equations + image_equations, sharp + image_equations
     inliers = int(np.count_nonzero(pairs.targets.perp >= 0))
-    return Registration(T, pairs, image, _summed([pairs, *images], T), sharp_depth, sharp, inliers)
+    return Registration(T, pairs, image, equations, sharp_depth, sharp, inliers)
 
 
 def _summed(terms: Sequence[Term], T: NDArray[np.float64]) -> NormalEquations:

@@ -114,6 +114,11 @@ def _key(ix, iy, iz):
 
 
 @inlined
+def _key_at(x, y, z, inverse_cell):
+    return _key(_cell(x, inverse_cell), _cell(y, inverse_cell), _cell(z, inverse_cell))
+
+
+@inlined
 def _find(keys, key):
     """Place of `key`, or the empty place where it belongs."""
     mask = keys.shape[0] - 1
@@ -131,11 +136,7 @@ def _find(keys, key):
 def _insert(keys, heads, chain, points, slots, inverse_cell):
     created = 0
     for slot in slots:
-        key = _key(
-            _cell(points[slot, 0], inverse_cell),
-            _cell(points[slot, 1], inverse_cell),
-            _cell(points[slot, 2], inverse_cell),
-        )
+        key = _key_at(points[slot, 0], points[slot, 1], points[slot, 2], inverse_cell)
         place = _find(keys, key)
         if keys[place] == _EMPTY:
             keys[place] = key
@@ -148,11 +149,7 @@ def _insert(keys, heads, chain, points, slots, inverse_cell):
 @kernel
 def _remove(keys, heads, chain, points, slots, inverse_cell):
     for slot in slots:
-        key = _key(
-            _cell(points[slot, 0], inverse_cell),
-            _cell(points[slot, 1], inverse_cell),
-            _cell(points[slot, 2], inverse_cell),
-        )
+        key = _key_at(points[slot, 0], points[slot, 1], points[slot, 2], inverse_cell)
         place = _find(keys, key)
         at = heads[place]
         if at == slot:
@@ -215,7 +212,7 @@ def _nearest(queries, T, radius, keys, heads, chain, points, inverse_cell, slots
                 if d < best:
                     best, best_slot = d, slot
             # The query's own cell first: what it yields shrinks the reach to few other cells.
-            own = _key(_cell(x, inverse_cell), _cell(y, inverse_cell), _cell(z, inverse_cell))
+            own = _key_at(x, y, z, inverse_cell)
             place = _find(keys, own)
             if keys[place] != _EMPTY:
                 best, best_slot = _closest_in(

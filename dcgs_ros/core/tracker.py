@@ -196,12 +196,12 @@ class Tracker:
         self._follow(grey, prior.T_world_cam)
         T_start, image = self._start(frame, prior)
         cloud = cloud.moved(self._depth_motion(frame, T_start))
+        guessed = T_start is prior.T_world_cam  # too few landmarks to start from
         Q = None
-        if image is not None and len(self._landmarks) >= self.config.landmarks.min_start:
+        if not guessed:
             Q = self._motion.passage_covariance(frame.stamp_ns, self._lag_s(frame))
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, self.config, Q)
         settings = self.config.registration
-        guessed = T_start is prior.T_world_cam
         search_m = settings.guess_radius_m if guessed else settings.radius_m
         result = register(T_start, depth, image, self.config, search_m)
         if result.overlap < _SUSPICIOUS * self._overlap and not guessed:

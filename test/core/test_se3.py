@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
@@ -92,6 +92,8 @@ def test_log_undoes_exp_on_both_sides_of_each_series(angle: float) -> None:
 
 @given(twists())
 def test_log_undoes_exp(xi: NDArray) -> None:
+    # Of half a turn there are two logarithms, both right: test_log_of_half_a_turn.
+    assume(np.linalg.norm(xi[3:]) < math.pi - 1e-10)
     np.testing.assert_allclose(se3.log(se3.exp(xi)), xi, atol=NEAR_PI)
 
 

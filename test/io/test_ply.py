@@ -1,0 +1,311 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Gaussians as PLY: bit for bit there and back, and nothing hostile gets further than an error."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import statistics
+import struct
+import time
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from dcgs_ros.core.splats import PLANES, Splats
+from dcgs_ros.io.ply import PlyError, read_ply, write_ply
+
+LOAD_LIMIT_S = 2.0  # for a million Gaussians
+MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
+FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)  # denormals and -0 too
+SCALARS = {
+    'char': 'i1', 'uchar': 'u1', 'short': 'i2', 'ushort': 'u2', 'int': 'i4', 'uint': 'u4',
+    'float': 'f4', 'double': 'f8', 'int8': 'i1', 'uint8': 'u1', 'int16': 'i2', 'uint16': 'u2',
+    'int32': 'i4', 'uint32': 'u4', 'float32': 'f4', 'float64': 'f8',
+}  # fmt: skip
+PROPERTIES = [f'property float {name}' for name in PLANES]
+
+
+def random_splats(count: int, seed: int) -> Splats:
+    return Splats(np.random.default_rng(seed).normal(size=(14, count)).astype(np.float32))
+
+
+def header(*lines: str, order: str = 'little') -> bytes:
+    return '\n'.join(
+        ['ply', f'format binary_{order}_endian 1.0', *lines, 'end_header', '']
+    ).encode()
+
+
+@contextlib.contextmanager
+def bounded_memory(file_size: int) -> Iterator[None]:
+    """Assert that what is run takes no more than a few times the file's size."""
+    tracemalloc.start()
+    try:
+        yield
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 3 * file_size + MEMORY_SLACK
+
+
+def assert_same(found: Splats, expected: Splats) -> None:
+    assert found.planes.dtype == np.float32
+    assert found.planes.shape == expected.planes.shape
+    assert found.planes.tobytes() == expected.planes.tobytes()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 5).flatmap(lambda n: arrays(np.float32, (14, n), elements=FLOATS)))
+def test_written_then_read_is_the_same_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, planes: np.ndarray
+) -> None:
+    path = tmp_path_factory.mktemp('round') / 'map.ply'
+    write_ply(path, Splats(planes))
+    assert_same(read_ply(path), Splats(planes))
+
+
+def test_more_gaussians_than_are_read_at_once_come_back_too(tmp_path: Path) -> None:
+    splats = random_splats(70_001, seed=0)
+    write_ply(tmp_path / 'a.ply', splats)
+    assert_same(read_ply(tmp_path / 'a.ply'), splats)
+
+
+def test_a_strided_view_of_a_larger_buffer_is_written_as_what_it_shows(tmp_path: Path) -> None:
+    every_second = Splats(random_splats(10, seed=1).planes[:, ::2])
+    write_ply(tmp_path / 'a.ply', every_second)
+    assert_same(read_ply(tmp_path / 'a.ply'), every_second)
+
+
+def test_one_gaussian_is_these_bytes(tmp_path: Path) -> None:
+    names = 'x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2'.split()
+    names += ['rot_0', 'rot_1', 'rot_2', 'rot_3']
+    values = {name: 0.5 + index for index, name in enumerate(PLANES)}
+    write_ply(tmp_path / 'a.ply', Splats(np.array([list(values.values())], np.float32).T))
+    expected = header('element vertex 1', *(f'property float {name}' for name in names))
+    expected += struct.pack('<17f', *(values.get(name, 0.0) for name in names))
+    assert (tmp_path / 'a.ply').read_bytes() == expected
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(['little', 'big']),
+    st.permutations(PLANES),
+    st.lists(st.tuples(st.integers(0, 14), st.sampled_from(sorted(SCALARS))), max_size=8),
+    st.lists(st.sampled_from(['float', 'float32', 'double', 'float64']), min_size=14, max_size=14),
+    st.sampled_from([b'\n', b'\r\n']),
+)
+def test_any_order_of_properties_and_bytes_and_any_extra_ones_are_read(
+    tmp_path_factory: pytest.TempPathFactory,
+    order: str,
+    names: list[str],
+    extras: list[tuple[int, str]],
+    kinds: list[str],
+    newline: bytes,
+) -> None:
+    properties = list(zip(names, kinds, strict=True))
+    for number, (place, kind) in enumerate(extras):
+        properties.insert(place, (f'extra_{number}', kind))
+    sign = '<' if order == 'little' else '>'
+    splats = random_splats(3, seed=2)
+    rows = np.ones(3, [(name, sign + SCALARS[kind]) for name, kind in properties])
+    for name, plane in zip(PLANES, splats.planes, strict=True):
+        rows[name] = plane
+    lines = [f'property {kind} {name}' for name, kind in properties]
+    text = header('comment é', 'element vertex 3', 'obj_info 1', *lines, order=order)
+    path = tmp_path_factory.mktemp('order') / 'a.ply'
+    path.write_bytes(text.replace(b'\n', newline) + rows.tobytes())
+    assert_same(read_ply(path), splats)
+
+
+def test_elements_after_the_vertices_are_ignored(tmp_path: Path) -> None:
+    splats = random_splats(2, seed=3)
+    faces = ['element face 1', 'property list uchar int vertex_indices', 'property half odd']
+    text = header('element vertex 2', *PROPERTIES, *faces)
+    rows = np.ascontiguousarray(splats.planes.T).astype('<f4')
+    (tmp_path / 'a.ply').write_bytes(text + rows.tobytes() + b'\x03' + bytes(12))
+    assert_same(read_ply(tmp_path / 'a.ply'), splats)
+
+
+def without(name: str) -> list[str]:
+    return [line for line in PROPERTIES if not line.endswith(f' {name}')]
+
+
+def vertices(count: str) -> bytes:
+    return header(f'element vertex {count}', *PROPERTIES) + bytes(56)
+
+
+HOSTILE = {
+    'empty': (b'', "no PLY: begins with b''"),
+    'an image': (b'\x89PNG\r\n\x1a\n' + bytes(100), r"no PLY: begins with b'\\x89PNG"),
+    'prefix': (b'plywood\n', 'no PLY'),
+    'no end': (header()[:-11], 'no end_header within the first 36 bytes'),
+    'endless': (b'ply\n' + b'comment x\n' * 10_000, 'no end_header within the first 65536 bytes'),
+    'end in a comment': (b'ply\ncomment end_header\n', 'no end_header'),
+    'ascii': (b'ply\nformat ascii 1.0\nend_header\n', "'format ascii 1.0': only .*binary"),
+    'version': (b'ply\nformat binary_little_endian 2.0\nend_header\n', '2.0.*only'),
+    'two formats': (
+        header('format binary_big_endian 1.0'),
+        "'format binary_big_endian 1.0': only one binary",
+    ),
+    'no format': (b'ply\nelement vertex 0\nend_header\n', 'header has no format'),
+    'no vertices': (header(), 'header has no element vertex'),
+    'vertices twice': (header('element vertex 0', 'element vertex 0'), "vertex 0' is not underst"),
+    'faces first': (header('element face 0', 'element vertex 0'), "'face' comes before"),
+    'list': (
+        header('element vertex 0', 'property list uchar int a'),
+        "'a' of the vertices is a l",
+    ),
+    'type': (header('element vertex 0', 'property half x'), "'property half x' is not understood"),
+    'orphan': (header('property float x'), "'property float x' is not understood"),
+    'junk': (header('hello' * 1000), "'hello.{55}' is not understood"),
+    'twice': (header('element vertex 0', *PROPERTIES, 'property int z'), "'z' of the .* twice"),
+    'missing': (header('element vertex 0', *without('rot_3')), 'vertices lack rot_3$'),
+    'a cloud': (header('element vertex 0', *PROPERTIES[:3]), 'lack scale_0, .*, f_dc_2$'),
+    'integer': (
+        header('element vertex 0', *without('y'), 'property int y'),
+        'y are neither float',
+    ),
+    'negative': (vertices('-1'), "'-1' is no number of vertices"),
+    'fraction': (vertices('1.5'), "'1.5' is no number of vertices"),
+    'exponent': (vertices('1e3'), "'1e3' is no number of vertices"),
+    'digits': (vertices('9' * 5000), "'9{40}' is no number of vertices"),
+    'one too many': (vertices('2'), '2 vertices of 56 bytes need 112 bytes, but 56 follow'),
+    'huge': (vertices('9' * 18), '9{18} vertices of 56 bytes need 5[0-9]+ bytes, but 56'),
+    'cut off': (vertices('1')[:-1], 'need 56 bytes, but 55 follow the header'),
+}
+
+
+@pytest.mark.parametrize('fault', HOSTILE)
+def test_what_is_no_file_of_gaussians_is_refused_with_the_reason(
+    tmp_path: Path, fault: str
+) -> None:
+    content, reason = HOSTILE[fault]
+    (tmp_path / 'bad.ply').write_bytes(content)
+    with bounded_memory(0), pytest.raises(PlyError, match=rf'bad\.ply: .*{reason}'):
+        read_ply(tmp_path / 'bad.ply')
+
+
+def test_a_file_that_is_not_there_or_a_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PlyError, match=r'a\.ply: cannot be read: No such file'):
+        read_ply(tmp_path / 'a.ply')
+    with pytest.raises(PlyError, match='cannot be read: Is a directory'):
+        read_ply(tmp_path)
+    with pytest.raises(PlyError, match='cannot be written: No such file'):
+        write_ply(tmp_path / 'nowhere' / 'a.ply', random_splats(1, seed=4))
+
+
+@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
+def test_gaussians_that_are_not_finite_are_counted_and_refused(
+    tmp_path: Path, value: float
+) -> None:
+    splats = random_splats(40_000, seed=5)
+    path = tmp_path / 'a.ply'
+    write_ply(path, splats)
+    good = path.read_bytes()
+    splats.planes[[0, 13], [7, 7]] = value  # two parameters of one Gaussian
+    splats.planes[10, 39_999] = value
+    with pytest.raises(PlyError, match=r'a\.ply: not written: 2 of 40000 Gaussians are not fini'):
+        write_ply(path, splats)
+    assert path.read_bytes() == good
+    position = len(good) - 17 * 4 * 3  # x of the third from the last
+    path.write_bytes(good[:position] + struct.pack('<f', value) + good[position + 4 :])
+    with pytest.raises(PlyError, match=r'a\.ply: 1 of 40000 Gaussians are not finite'):
+        read_ply(path)
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_double_beyond_float32_is_not_finite(tmp_path: Path) -> None:
+    lines = [f'property double {name}' for name in PLANES]
+    text = header('element vertex 1', *lines) + struct.pack('<14d', 1e39, *[0.0] * 13)
+    (tmp_path / 'a.ply').write_bytes(text)
+    with pytest.raises(PlyError, match='1 of 1 Gaussians are not finite'):
+        read_ply(tmp_path / 'a.ply')
+
+
+def test_a_file_that_shrinks_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_ply(tmp_path / 'a.ply', random_splats(5, seed=10))
+    whole = np.fromfile
+    monkeypatch.setattr(np, 'fromfile', lambda *arguments: whole(*arguments)[:3])
+    with pytest.raises(PlyError, match='ends after 3 of 5 vertices'):
+        read_ply(tmp_path / 'a.ply')
+
+
+def test_a_pipe_is_refused() -> None:
+    reading, writing = os.pipe()
+    os.write(writing, header('element vertex 0', *PROPERTIES))
+    os.close(writing)
+    with pytest.raises(PlyError, match=r'cannot be read: .*not seekable'):
+        read_ply(f'/dev/fd/{reading}')
+    os.close(reading)
+
+
+def fails(*_: object) -> None:
+    raise OSError('gone')  # without a number, as numpy raises it too
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / 'a.ply'
+    write_ply(path, random_splats(1, seed=6))
+    old = path.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+    try:
+        with pytest.raises(PlyError, match=r'a\.ply: cannot be written: File too large'):
+            write_ply(path, random_splats(1000, seed=7))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (old, [path])
+    monkeypatch.setattr(os, 'replace', fails)
+    with pytest.raises(PlyError, match=r'a\.ply: cannot be written: gone'):
+        write_ply(path, random_splats(1000, seed=7))
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (old, [path])
+
+
+def damaged(good: bytes, seed: int) -> bytes:
+    """Change a few bytes, half the time of the first 500, or cut the file off."""
+    rng = np.random.default_rng(seed)
+    if seed % 4 == 0:
+        return good[: rng.integers(len(good))]
+    data = bytearray(good)
+    for position in rng.integers(500 if seed % 2 else len(good), size=rng.integers(1, 4)):
+        data[position] = rng.integers(256)
+    return bytes(data)
+
+
+def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / 'a.ply'
+    write_ply(path, random_splats(20, seed=8))
+    good = path.read_bytes()
+    refused = 0
+    for seed in range(400):
+        path.write_bytes(damaged(good, seed))
+        with bounded_memory(len(good)):
+            try:
+                read_ply(path)
+            except PlyError:
+                refused += 1
+    assert 200 < refused < 400
+
+
+@pytest.mark.slow
+def test_a_million_gaussians_load_in_less_than_two_seconds(tmp_path: Path) -> None:
+    path = tmp_path / 'a.ply'
+    write_ply(path, random_splats(1_000_000, seed=9))
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        read_ply(path)
+        seconds.append(time.perf_counter() - start)
+    assert statistics.median(seconds) < LOAD_LIMIT_S

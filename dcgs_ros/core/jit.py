@@ -23,6 +23,12 @@ import numba
 
 CHUNKS = 16
 
+# Files that kernels of other files take constants or code from.
+_INLINED = (
+    'jit.py', 'lens.py', 'small_matrix.py', 'splats.py', 'render/renderer.py', 'render/simd.py',
+    'render/blending.py', 'render/projection.py',
+)  # fmt: skip
+
 
 def _separate_cache() -> None:
     """Give each version of the inlined functions a cache of its own.
@@ -33,9 +39,7 @@ def _separate_cache() -> None:
     if numba.config.CACHE_DIR:
         return
     here = Path(__file__)
-    inlined = b''.join(
-        (here.parent / name).read_bytes() for name in ('jit.py', 'lens.py', 'small_matrix.py')
-    )
+    inlined = b''.join((here.parent / name).read_bytes() for name in _INLINED)
     root = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
     numba.config.CACHE_DIR = str(root / 'dcgs_ros' / hashlib.sha256(inlined).hexdigest()[:12])
 
@@ -46,6 +50,10 @@ _separate_cache()
 _MATH = {'contract', 'reassoc', 'nsz', 'arcp'}
 kernel = partial(numba.njit, cache=True, nogil=True, fastmath=_MATH)
 parallel_kernel = partial(kernel, parallel=True)
+# Numba puts a kernel's flags on every instruction in it, those of hand-written IR included, which
+# brings its own (`render.simd`).
+strict_kernel = partial(numba.njit, cache=True, nogil=True, error_model='numpy')
+strict_inlined = partial(numba.njit, inline='always', error_model='numpy')
 inlined = partial(numba.njit, inline='always', fastmath=_MATH)
 
 

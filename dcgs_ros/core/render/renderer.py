@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every renderer does: Gaussians and a camera to an image, and a gradient back.
+
+A Gaussian's alpha at a pixel is min(o exp(-d' Sigma_2D^-1 d / 2), ALPHA_MAX), with the projected
+covariance widened by BLUR_PX2 on its diagonal; below ALPHA_MIN it is 0. Gaussians are blended
+front to back by the depth of their means, ties in their order. The first one that would bring a
+pixel's transmittance to T_MIN or less ends that pixel, and is not blended itself. Those nearer
+than NEAR_M are not seen. The Jacobian of the projection is taken at the mean, but no further
+beyond the border of the image than MARGIN of half its size. (Kerbl et al. 2023, with the constants
+of gsplat.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PinholeCamera
+from ..errors import DcgsError
+
+ALPHA_MIN = 1.0 / 255.0
+ALPHA_MAX = 0.999
+T_MIN = 1e-4
+BLUR_PX2 = 0.3
+NEAR_M = 0.05
+MARGIN = 0.3
+
+
+class RenderError(DcgsError):
+    """What was asked for cannot be rendered."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole camera without distortion, and where it is."""
+
+    width: int
+    height: int
+    fx: float  # pixels
+    fy: float
+    cx: float  # pixels; the centre of the first pixel is (0, 0), as in `PinholeCamera`
+    cy: float
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+
+    def __post_init__(self) -> None:
+        """Refuse what no image can come of."""
+        if self.width < 1 or self.height < 1:
+            raise RenderError(f'image of {self.width}x{self.height} pixels')
+        numbers = (self.fx, self.fy, self.cx, self.cy)
+        if not np.all(np.isfinite(numbers)) or self.fx <= 0 or self.fy <= 0:
+            raise RenderError(f'intrinsics fx fy cx cy = {numbers} are not usable')
+        if self.T_world_cam.shape != (4, 4) or not np.all(np.isfinite(self.T_world_cam)):
+            raise RenderError(f'pose is not a finite (4, 4) matrix: {self.T_world_cam}')
+
+    @classmethod
+    def of(cls, camera: PinholeCamera, T_world_cam: NDArray, shrink: int = 1) -> View:
+        """See what `camera` would without distortion, with one pixel for each shrink x shrink."""
+        return cls(
+            camera.width // shrink, camera.height // shrink, camera.fx / shrink,
+            camera.fy / shrink, (camera.cx + 0.5) / shrink - 0.5, (camera.cy + 0.5) / shrink - 0.5,
+            np.asarray(T_world_cam, np.float64),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One image, planar: what is composited over black, and what shines through."""
+
+    planes: NDArray[np.float32]  # (5, H, W): red, green, blue, depth, transmittance
+
+    @property
+    def color(self) -> NDArray[np.float32]:
+        """(3, H, W) sum of w_i c_i; 0 to 1 where the Gaussians' colours are."""
+        return self.planes[:3]
+
+    @property
+    def depth(self) -> NDArray[np.float32]:
+        """(H, W) sum of w_i z_i, metres: depth times (1 - transmittance)."""
+        return self.planes[3]
+
+    @property
+    def transmittance(self) -> NDArray[np.float32]:
+        """(H, W) product of 1 - alpha_i."""
+        return self.planes[4]
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Derivatives of a loss by what was rendered."""
+
+    planes: NDArray[np.float32]  # (14, N) by the parameters; valid only where touched
+    touched: NDArray[np.bool_]  # (N,) Gaussians that have any gradient
+    pose: NDArray[np.float64]  # (6,) by xi in T_world_cam exp(xi), translation first
+    weights: NDArray[np.float32]  # (N,) sum of each Gaussian's blending weight over the pixels
+
+
+class Renderer(Protocol):
+    """A backend. Results are views of its own buffers: valid until it is called again."""
+
+    def render(self, planes: NDArray[np.float32], view: View) -> Rendering:
+        """Render the Gaussians of `planes` (14, N), as in `Splats`.
+
+        Gaussians with parameters that are not finite are not seen. Raises `RenderError`.
+        """
+        ...
+
+    def backward(self, gradient: NDArray[np.float32]) -> Gradients:
+        """Derive by everything, given dL / d planes (5, H, W) of the last rendering."""
+        ...

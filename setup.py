@@ -44,9 +44,7 @@ setup(
             'ros-jazzy-rclpy[fastrtps]==7.1.6',
             'ros-jazzy-common-interfaces==5.3.6',
         ],
-        'map': ['torch>=2.2'],
         'cuda': ['gsplat>=1.4', 'torch>=2.2'],
-        'eval': ['torch>=2.2'],  # LPIPS
         'view': ['viser>=0.2'],
         'bags': ['rosbags>=0.10'],
         'dev': [
@@ -55,6 +53,8 @@ setup(
             'mypy>=1.8',
             'pytest>=7.4',
             'ruff>=0.5',
+            'scikit-image>=0.22',
+            'torch>=2.2',  # the reference of the renderer and of LPIPS
             'types-PyYAML',
             'types-tqdm',
         ],

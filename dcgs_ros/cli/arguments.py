@@ -14,7 +14,7 @@ from ..core.errors import DcgsError
 
 Source = Annotated[Positional[str], arg(metavar='SOURCE')]
 OptionalFile = Annotated[Path | None, arg(metavar='FILE')]
-OptionalText = Annotated[str | None, arg(metavar='TEXT')]
+Camera = Annotated[str | None, arg(metavar='PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]')]
 
 
 class UsageError(DcgsError):
@@ -23,7 +23,7 @@ class UsageError(DcgsError):
 
 @dataclass(frozen=True)
 class RunArguments:
-    """Track a sequence and write its trajectory, a report and a plot into a new folder."""
+    """Track and map a sequence; write trajectory, map, report and pictures into a new folder."""
 
     source: Source
     """A dataset's folder in TUM layout, or synthetic:room|plane|zigzag, to which may be added
@@ -33,7 +33,8 @@ class RunArguments:
     """Folder to write, new or empty; by default runs/NAME-N with the first N that is free."""
 
     config: OptionalFile = None
-    """YAML file of settings, plain or a ROS 2 parameter file; above the sensor's own."""
+    """YAML file of settings, plain or a ROS 2 parameter file; above --quality and the sensor's
+    own."""
 
     settings: Annotated[
         tuple[tuple[str, ...], ...],
@@ -47,7 +48,17 @@ class RunArguments:
     landmarks. By default what --config says, else full."""
 
     mapping: bool = True
-    """There is no mapper yet: every run only tracks, with --no-mapping or without."""
+    """Without it the run only tracks, and writes no map."""
+
+    online: bool = False
+    """Frames come at the sequence's own pace, and the mapper runs free beside the tracker; a frame
+    that a newer one overtakes before the tracker is free is dropped. Not reproducible."""
+
+    quality: Annotated[str, arg(metavar='draft|default|high')] = 'default'
+    """How long the mapper optimises: its steps for each frame and after the last."""
+
+    render_every: Annotated[int, arg(metavar='N')] = 5
+    """Of every Nth frame the rendering is compared with the image at the end; 0: of none."""
 
     max_frames: Annotated[int | None, arg(metavar='N')] = None
     """Stop after N frames."""
@@ -55,22 +66,59 @@ class RunArguments:
     groundtruth: OptionalFile = None
     """Trajectory to compare with, in TUM's format; by default the dataset's own."""
 
-    camera: Annotated[str | None, arg(metavar='PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]')] = None
+    camera: Camera = None
     """fr1, fr2, fr3, d435i, or intrinsics in pixels; by default told by the folder's name."""
 
 
 @dataclass(frozen=True)
 class EvaluateArguments:
-    """Compare a trajectory with the true one: ATE after rigid alignment, RPE over 1 s."""
+    """Compare a trajectory with the truth, and a run's map with the images it was made from.
 
-    trajectory: Annotated[Positional[Path], arg(metavar='TRAJECTORY')]
-    """The estimate: `stamp tx ty tz qx qy qz qw` a line (TUM's format)."""
+    ATE is after rigid alignment, RPE over 1 s; the map is compared by PSNR, SSIM and LPIPS.
+    """
 
-    groundtruth: Annotated[Positional[Path], arg(metavar='GROUNDTRUTH')]
-    """The truth, likewise; poses within 20 ms of each other are compared."""
+    estimate: Annotated[Positional[Path], arg(metavar='RUN|TRAJECTORY')]
+    """Folder of a run; or its trajectory alone: `stamp tx ty tz qx qy qz qw` a line (TUM's)."""
+
+    groundtruth: Annotated[Positional[Path | None], arg(metavar='GROUNDTRUTH')] = None
+    """The truth, likewise; poses within 20 ms of each other are compared. A run's source may have
+    its own."""
+
+    source: Annotated[str | None, arg(metavar='SOURCE')] = None
+    """Where the run's images are; by default where they were."""
+
+    camera: Camera = None
+    """Of the source; by default as it was for the run."""
+
+    render_every: Annotated[int, arg(metavar='N')] = 1
+    """Of every Nth frame the rendering is compared with the image; 0: of none."""
 
     json: bool = False
     """Print JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class RenderArguments:
+    """Show a map from the poses of a trajectory, as images or as a video."""
+
+    map: Annotated[Positional[Path], arg(metavar='MAP')]
+    """map.dcgs of a run, or a 3DGS .ply; a .ply knows no camera."""
+
+    trajectory: Annotated[Path, arg(metavar='FILE')]
+    """Poses in TUM's format. Between the map's keyframes they are corrected as the mapper
+    corrected those."""
+
+    out: Annotated[Path | None, arg(metavar='DIR|VIDEO')] = None
+    """New folder for numbered PNGs, or a video ending with .mp4 or .avi; by default runs/MAP-N."""
+
+    camera: Camera = None
+    """Camera instead of the map's; without distortion."""
+
+    size: Annotated[str | None, arg(metavar='WIDTHxHEIGHT')] = None
+    """Of the images, in pixels, where --camera gives numbers."""
+
+    depth: bool = False
+    """Write depth too, as PNGs of 16 bits in millimetres; 0 where the map shows nothing."""
 
 
 @dataclass(frozen=True)
@@ -80,5 +128,5 @@ class InfoArguments:
     source: Source
     """A dataset's folder in TUM layout, or a synthetic:... address, as for run."""
 
-    camera: Annotated[str | None, arg(metavar='PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]')] = None
+    camera: Camera = None
     """fr1, fr2, fr3, d435i, or intrinsics in pixels; by default told by the folder's name."""

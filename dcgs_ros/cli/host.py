@@ -13,9 +13,15 @@ from pathlib import Path
 def machine() -> str:
     """Name processor, cores this process may use, system and Python."""
     model = _find(r'^model name\s*:\s*(.+)$', '/proc/cpuinfo') or platform.processor() or 'CPU'
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()
     system = f'{platform.system()} {platform.machine()}'
-    return f'{cores} x {model}, {system}, Python {platform.python_version()}'
+    return f'{cores()} x {model}, {system}, Python {platform.python_version()}'
+
+
+def cores() -> int:
+    """Count the cores that this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def peak_rss_mb() -> float | None:

@@ -13,9 +13,14 @@ import tyro
 
 from .. import __version__
 from ..core.errors import DcgsError
-from .arguments import EvaluateArguments, InfoArguments, RunArguments
+from .arguments import EvaluateArguments, InfoArguments, RenderArguments, RunArguments
 
-VERBS: dict[str, Any] = {'run': RunArguments, 'evaluate': EvaluateArguments, 'info': InfoArguments}
+VERBS: dict[str, Any] = {
+    'run': RunArguments,
+    'evaluate': EvaluateArguments,
+    'render': RenderArguments,
+    'info': InfoArguments,
+}
 _DESCRIPTION = 'Dual covariance Gaussian splatting SLAM. `dcgs --version` prints the version.'
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 

@@ -5,19 +5,18 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..core.config import Config
 from ..core.errors import DcgsError
-from ..datasets.source import Source
-from ..evaluation.report import Accuracy, RunRecord, assess, build_report
+from ..core.trajectory import Trajectory
+from ..evaluation.report import RunRecord
 from ..io.settings import write_config
 from ..io.trajectory import write_tum
 from .frames_csv import write_frames
-from .host import machine, peak_rss_mb
 
 RUNS = Path('runs')
 
@@ -53,24 +52,25 @@ def create_folder(folder: Path | None, name: str) -> Path:
             return folder
 
 
-def write_outputs(
-    folder: Path, record: RunRecord, config: Config, source: Source
-) -> tuple[dict[str, Any], Accuracy]:
-    """Write a run of at least one tracked frame, what matters most first; returns its report."""
-    estimate = record.trajectory()
-    write_tum(folder / 'trajectory.tum', estimate)
+def write_tracks(folder: Path, record: RunRecord, config: Config) -> None:
+    """Write what the tracker did, and what it was told."""
+    write_tum(folder / 'trajectory.tum', record.trajectory())
     write_tum(folder / 'keyframes.tum', record.keyframes())
     write_frames(folder / 'frames.csv', record)
     write_config(folder / 'config.yaml', config)
-    accuracy = assess(estimate, source.groundtruth)
-    try:
-        from ..evaluation.plots import plot_trajectory  # matplotlib: only now, it is slow to load
 
-        truth = source.groundtruth if accuracy.ate is not None else None
-        title = f'{record.source}, {record.ablation}'
-        plot_trajectory(folder / 'trajectory.png', estimate, truth, title)
-    finally:
-        report = build_report(record, accuracy, machine(), peak_rss_mb(), __version__)
-        text = json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False)
-        (folder / 'report.json').write_text(text + '\n', encoding='utf-8')
-    return report, accuracy
+
+def write_plot(folder: Path, record: RunRecord, truth: Trajectory | None) -> None:
+    """Draw the trajectory, against the truth where it can be compared."""
+    from ..evaluation.plots import plot_trajectory  # matplotlib: only now, it is slow to load
+
+    title = f'{record.source}, {record.ablation}'
+    plot_trajectory(folder / 'trajectory.png', record.trajectory(), truth, title)
+
+
+def write_report(folder: Path, report: dict[str, Any]) -> None:
+    """Write the report, over an earlier one of the same run."""
+    text = json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False)
+    temporary = folder / f'.report.json.{os.getpid()}.tmp'
+    temporary.write_text(text + '\n', encoding='utf-8')
+    os.replace(temporary, folder / 'report.json')

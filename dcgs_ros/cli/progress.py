@@ -50,6 +50,10 @@ class Progress:
         )
         self._bar.update()
 
+    def refined(self, left: int) -> None:
+        """Show how many steps of the refinement are left."""
+        self._bar.set_postfix_str(f'refining, {left} steps left')
+
     def skipped(self, frame: SkippedFrame) -> None:
         """Name a frame that is left out."""
         self._skipped += 1

@@ -12,6 +12,11 @@ from ..evaluation.report import Accuracy
 
 Row = tuple[str, str]
 
+_FILES = (
+    ('trajectory', 'trajectory.tum'), ('plot', 'trajectory.png'), ('map', 'map.dcgs'),
+    ('views', 'views.png'),
+)  # fmt: skip
+
 
 def table(title: str, rows: Sequence[Row]) -> str:
     """Set the second column flush."""
@@ -41,10 +46,11 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
         ),
         ('depth offset', f'{offset_ms:+.1f} ms, of depth against its stamp'),
         ('Gaussians', f'{report["mapping"]["gaussians"]}'),
+        ('mapping', _mapping(report['mapping'])),
+        *rendering_rows(report['rendering']),
         ('kappa', _kappas(report['observability'])),
         ('memory', f'{_number(report["peak_rss_mb"])} MB at most'),
-        ('trajectory', str(folder / 'trajectory.tum')),
-        ('plot', str(folder / 'trajectory.png')),
+        *[(label, str(folder / name)) for label, name in _FILES if (folder / name).exists()],
         ('run folder', str(folder)),
     ]
     return table(title, rows)
@@ -71,11 +77,41 @@ def accuracy_rows(accuracy: Accuracy) -> list[Row]:
     ]
 
 
+def rendering_rows(rendering: dict[str, Any] | None) -> list[Row]:
+    """Show how well the map renders under each protocol."""
+    if rendering is None:
+        return [('rendering', 'not evaluated')]
+    rows = [('rendering', f'{_scores(rendering)} (raw; views: {rendering["views"]})')]
+    rows += [
+        (f'  {name.replace("_", " ")}', _scores(rendering[name]))
+        for name in ('interpolated', 'depth_masked')
+        if rendering[name] is not None
+    ]
+    rows += [
+        (f'  {name}', f'{_scores(rendering[name])} (views: {rendering[name]["views"]})')
+        for name in ('keyframes', 'others')
+        if rendering[name]['views']
+    ]
+    return [*rows, ('  transmittance', f'{rendering["mean_transmittance"]:.4f} mean')]
+
+
+def _scores(means: dict[str, Any]) -> str:
+    lpips = 'no LPIPS' if means['lpips'] is None else f'LPIPS {means["lpips"]:.3f}'
+    return f'PSNR {means["psnr_db"]:.2f} dB, SSIM {means["ssim"]:.3f}, {lpips}'
+
+
+def _mapping(mapping: dict[str, Any]) -> str:
+    if not mapping['iterations']:
+        return 'none'
+    return f'{mapping["iterations"]} steps, {mapping["iterations_per_s"]:.1f} a second'
+
+
 def _counts(report: dict[str, Any]) -> str:
     degenerate = f' ({report["degenerate"]} degenerate)' if report['degenerate'] else ''
+    dropped = f' ({report["dropped"]} dropped)' if report['dropped'] else ''
     return (
         f'{report["frames"]}: {report["tracked"]} tracked{degenerate}, {report["lost"]} lost, '
-        f'{report["skipped"]} skipped; {report["keyframes"]} keyframes'
+        f'{report["skipped"]} skipped{dropped}; {report["keyframes"]} keyframes'
     )
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..core.tracker import TrackingState, TrackResult
 from ..core.trajectory import Trajectory
+from .rendering import ViewScores, rendering_report
 from .trajectory import (
     AteResult,
     EvaluationError,
@@ -27,7 +29,7 @@ class TrackedFrame:
 
     index: int  # in the source, from 0
     result: TrackResult
-    seconds: float  # inside `track`: neither decoding nor waiting for it
+    seconds: float  # to track it and to exchange with the mapper: neither decoding nor waiting
     gaussians: int  # in the map afterwards
 
 
@@ -39,6 +41,7 @@ class SkippedFrame:
     stamp_ns: int | None  # None: not read so far
     name: str
     reason: str
+    dropped: bool = False  # sound, but the tracker was busy until a newer one had come
 
 
 @dataclass
@@ -47,10 +50,15 @@ class RunRecord:
 
     source: str
     ablation: str
+    address: str = ''  # what the source was opened by, as the user gave it
+    camera: str | None = None  # likewise
     tracked: list[TrackedFrame] = field(default_factory=list)
     skipped: list[SkippedFrame] = field(default_factory=list)
     wall_s: float = 0.0  # from the first frame asked for to the last one done, decoding included
-    interrupted: bool = True  # until the last frame is done
+    interrupted: bool = True  # until the last frame is done; or in the steps after it
+    gaussians: int | None = None  # of the mapper, at the end; None: the run only tracked
+    iterations: int = 0
+    mapping_s: float = 0.0  # the mapper's own time
 
     def trajectory(self) -> Trajectory:
         """Poses of all frames; a lost one has the last good pose."""
@@ -94,25 +102,31 @@ def build_report(
 ) -> dict[str, Any]:
     """Report a run of at least one tracked frame, as JSON has it: what is not finite is None.
 
-    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes the `degenerate` ones. `tracking`
-    is over the time inside `track` alone. Decoding, and waiting for it, is in `wall_s`; starting
-    and writing are in neither. `realtime_factor` is the sequence's duration over `wall_s`.
+    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes the `degenerate` ones, `skipped`
+    the `dropped` ones. `tracking` is over the time inside `track` and for the exchange with the
+    mapper alone. Decoding, waiting for it, and the mapper's steps between frames are in `wall_s`;
+    starting, the steps after the last frame, and writing are in neither. `realtime_factor` is the
+    sequence's duration over `wall_s`. Iterations are per second of the mapper's own time.
+    `rendering` is None until `with_rendering`.
     """
     stamps = [record.tracked[k].result.stamp_ns for k in (0, -1)]
     last = record.tracked[-1]
     report = {
         'source': record.source,
+        'address': record.address,
+        'camera': record.camera,
         'ablation': record.ablation,
         'frames': len(record.tracked) + len(record.skipped),
         'tracked': record.count(TrackingState.OK, TrackingState.DEGENERATE),
         'degenerate': record.count(TrackingState.DEGENERATE),
         'lost': record.count(TrackingState.LOST),
         'skipped': len(record.skipped),
+        'dropped': sum(frame.dropped for frame in record.skipped),
         'keyframes': sum(frame.result.keyframe for frame in record.tracked),
         'interrupted': record.interrupted,
         'tracking': _speed(record),
         **accuracy_report(accuracy),
-        'mapping': {'gaussians': last.gaussians, 'iterations': 0, 'iterations_per_s': 0.0},
+        'mapping': _mapping(record),
         'rendering': None,
         'timing': {'colour_depth_offset_ms': last.result.colour_depth_offset_ms},
         'observability': _observability(record),
@@ -125,6 +139,12 @@ def build_report(
     finite = _finite(report)
     assert isinstance(finite, dict)
     return finite
+
+
+def with_rendering(report: dict[str, Any], scores: Sequence[ViewScores]) -> dict[str, Any]:
+    """Copy of a report with its part `rendering`; None where no view was scored."""
+    rendering = rendering_report(scores) if scores else None
+    return {**report, 'rendering': _finite(rendering)}
 
 
 def accuracy_report(accuracy: Accuracy) -> dict[str, dict[str, float] | None]:
@@ -152,6 +172,15 @@ def _speed(record: RunRecord) -> dict[str, float]:
     median, p95, p99 = np.percentile(1e3 * seconds, [50, 95, 99]).tolist()
     mean = float(len(seconds) / seconds.sum())
     return {'fps_mean': mean, 'ms_median': median, 'ms_p95': p95, 'ms_p99': p99}
+
+
+def _mapping(record: RunRecord) -> dict[str, float]:
+    tracked = record.tracked[-1].gaussians
+    return {
+        'gaussians': tracked if record.gaussians is None else record.gaussians,
+        'iterations': record.iterations,
+        'iterations_per_s': record.iterations / max(record.mapping_s, 1e-9),
+    }
 
 
 def _observability(record: RunRecord) -> dict[str, float | None]:

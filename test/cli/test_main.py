@@ -32,7 +32,8 @@ def refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Refusal:
 
     def refuse(*words: str) -> str:
         out = tmp_path / 'out'
-        extra = ('--out', str(out)) if words[0] == 'run' and '--out' not in words else ()
+        extra = ['--out', str(out)] if words[0] == 'run' and '--out' not in words else []
+        extra += ['--no-mapping'] if words[0] == 'run' else []
         assert main([*words, *extra]) == 2
         captured = capsys.readouterr()
         assert captured.out == ''
@@ -53,6 +54,8 @@ def refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Refusal:
         (['--max-frames', '0'], '--max-frames 0'),
         (['--max-frames', '-3'], '--max-frames -3'),
         (['--ablation', 'best'], "'best'"),
+        (['--quality', 'best'], '--quality best: one of draft, default, high'),
+        (['--render-every', '-1'], '--render-every -1'),
         (['--set', 'sensor.a_m'], '--set sensor.a_m: expected stage.field=value'),
         (['--set', 'sensor.a_m=wide'], "'wide'"),
         (['--set', 'sensor.a_m=-1'], 'a_m > 0'),
@@ -140,7 +143,9 @@ def test_evaluate_names_the_file_that_is_wrong(refusal: Refusal, tmp_path: Path)
     assert 'found 0 of 5 poses' in refusal('evaluate', str(good), str(late))
 
 
-@pytest.mark.parametrize('words', [[], ['run'], ['fly', 'x'], ['run', 'x', '--fast'], ['info']])
+@pytest.mark.parametrize(
+    'words', [[], ['run'], ['fly', 'x'], ['run', 'x', '--fast'], ['render', 'x'], ['info']]
+)
 def test_unknown_words_end_with_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(words)
@@ -153,7 +158,7 @@ def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None
     assert capsys.readouterr().out == f'dcgs {__version__}\n'
 
 
-@pytest.mark.parametrize('verb', ['run', 'evaluate', 'info'])
+@pytest.mark.parametrize('verb', ['run', 'evaluate', 'render', 'info'])
 def test_every_verb_has_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main([verb, '--help'])
@@ -174,7 +179,7 @@ def test_help_waits_for_nothing_and_a_run_not_for_the_plot() -> None:
     assert not light & {'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
     running = loaded_after('import dcgs_ros.cli.run')
     assert 'numba' in running
-    assert 'matplotlib' not in running
+    assert not running & {'matplotlib', 'torch'}
 
 
 def test_the_module_is_the_command() -> None:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import signal
@@ -13,13 +11,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from runs import TRACKS, Run, run_into  # type: ignore[import-not-found]
 
 from dcgs_ros import __version__
 from dcgs_ros.cli import run
@@ -30,6 +27,7 @@ from dcgs_ros.core.config import Config
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.sensor import SensorNoise
+from dcgs_ros.core.tracker import Tracker
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import BadFrame
@@ -42,10 +40,6 @@ ROOT = Path(__file__).resolve().parents[2]
 FRAMES = 32  # a little more than the second that RPE spans
 ROOM = f'synthetic:room?frames={FRAMES}'
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images of `tum_folder`
-OUTPUTS = {
-    'trajectory.tum', 'keyframes.tum', 'frames.csv', 'config.yaml', 'report.json',
-    'trajectory.png',
-}  # fmt: skip
 CONTRACT = {
     'source': None,
     'ablation': None,
@@ -76,45 +70,21 @@ PRINTED_M = 1e-9  # decimals of a trajectory file
 TIMEOUT_S = 120.0  # of a subprocess that may have to compile
 
 
-@dataclass(frozen=True)
-class Run:
-    """What came of `dcgs run`."""
-
-    folder: Path
-    status: int
-    out: str
-    err: str
-
-    def report(self) -> dict[str, Any]:
-        def refuse(constant: str) -> None:
-            raise AssertionError(f'{constant} is not JSON')
-
-        text = (self.folder / 'report.json').read_text()
-        report = json.loads(text, parse_constant=refuse)
-        assert isinstance(report, dict)
-        return report
-
-    def frames(self) -> list[dict[str, str]]:
-        with (self.folder / 'frames.csv').open(newline='') as file:
-            return list(csv.DictReader(file))
-
-
-def run_into(folder: Path, *words: str) -> Run:
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        status = main(['run', *words, '--out', str(folder)])
-    return Run(folder, status, out.getvalue(), err.getvalue())
+def track_into(folder: Path, *words: str) -> Run:
+    """Run without a mapper."""
+    done: Run = run_into(folder, *words, '--no-mapping')
+    return done
 
 
 @pytest.fixture(scope='module')
 def room(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Run once, with one thread."""
-    return run_into(tmp_path_factory.mktemp('runs') / 'room', ROOM, '--set', 'threads=1')
+    return track_into(tmp_path_factory.mktemp('runs') / 'room', ROOM, '--set', 'threads=1')
 
 
 def test_a_run_tracks_the_room_and_writes_its_folder(room: Run) -> None:
     assert room.status == 0, room.err
-    assert {path.name for path in room.folder.iterdir()} == OUTPUTS
+    assert room.files() == TRACKS
     report = room.report()
     assert (report['frames'], report['tracked'], report['lost']) == (FRAMES, FRAMES, 0)
     assert report['ate']['rmse_cm'] < ROOM_ATE_CM
@@ -127,15 +97,22 @@ def test_the_report_holds_the_contract(room: Run) -> None:
         assert key in report
         if inner is not None:
             assert set(report[key]) == inner
-    assert set(report) - set(CONTRACT) == {'skipped', 'interrupted', 'degenerate'}
+    assert set(report) - set(CONTRACT) == {
+        'skipped', 'dropped', 'interrupted', 'degenerate', 'address', 'camera',
+    }  # fmt: skip
     assert (report['source'], report['ablation']) == (ROOM, 'full')
+    assert (report['address'], report['camera']) == (ROOM, None)
+    assert report['rendering'] is None
+    assert report['mapping']['iterations'] == 0
+    assert report['mapping']['iterations_per_s'] == 0.0
     assert report['version'] == __version__
     assert report['interrupted'] is False
     assert 50 < report['peak_rss_mb'] < 5000
 
 
+@pytest.mark.slow
 def test_two_runs_with_one_and_two_threads_write_the_same_bytes(room: Run, tmp_path: Path) -> None:
-    again = run_into(tmp_path / 'again', ROOM, '--set', 'threads=2')
+    again = track_into(tmp_path / 'again', ROOM, '--set', 'threads=2')
     for name in ('trajectory.tum', 'keyframes.tum'):
         assert (again.folder / name).read_bytes() == (room.folder / name).read_bytes()
 
@@ -192,7 +169,7 @@ def test_evaluate_finds_what_the_report_says(
 
 
 def test_max_frames_ends_a_run_early(room: Run, tmp_path: Path) -> None:
-    short = run_into(tmp_path / 'short', ROOM, '--max-frames', '5', '--no-mapping')
+    short = track_into(tmp_path / 'short', ROOM, '--max-frames', '5')
     assert short.status == 0
     whole = (room.folder / 'trajectory.tum').read_text().splitlines()
     assert (short.folder / 'trajectory.tum').read_text().splitlines() == whole[:6]
@@ -206,7 +183,7 @@ def test_max_frames_ends_a_run_early(room: Run, tmp_path: Path) -> None:
 def test_settings_are_layered(tmp_path: Path) -> None:
     file = tmp_path / 'settings.yaml'
     file.write_text('ablation: shared\nthreads: 1\nsensor: {a_m: 0.002}\ncloud: {stride_px: 9}')
-    done = run_into(
+    done = track_into(
         tmp_path / 'run', f'{ROOM}&sensor=ideal', '--max-frames', '2', '--config', str(file),
         '--ablation', 'sigma_t', '--set', 'cloud.stride_px=12', 'timing.memory_s=3',
         '--set', 'timing.colour_depth_offset_ms=none', '--set', 'timing.memory_s=4',
@@ -222,9 +199,9 @@ def test_settings_are_layered(tmp_path: Path) -> None:
 
 def test_the_truth_never_reaches_the_tracker(tum_folder: Writer, tmp_path: Path) -> None:
     folder = tum_folder(frames=6)
-    with_truth = run_into(tmp_path / 'with', str(folder), '--camera', SMALL)
+    with_truth = track_into(tmp_path / 'with', str(folder), '--camera', SMALL)
     (folder / 'groundtruth.txt').unlink()
-    without = run_into(tmp_path / 'without', str(folder), '--camera', SMALL)
+    without = track_into(tmp_path / 'without', str(folder), '--camera', SMALL)
     assert with_truth.report()['ate'] is not None
     assert without.report()['ate'] is None
     assert 'ATE           not computed: there is no ground truth' in without.out
@@ -238,7 +215,7 @@ def test_truth_of_another_time_leaves_the_run_without_ate(
     truth = tmp_path / 'truth.tum'
     truth.write_text('7 0 0 0 0 0 0 1\n8 1 0 0 0 0 0 1\n9 1 1 0 0 0 0 1\n')
     words = (str(tum_folder()), '--camera', SMALL, '--groundtruth', str(truth))
-    done = run_into(tmp_path / 'run', *words)
+    done = track_into(tmp_path / 'run', *words)
     assert done.status == 0
     assert done.report()['ate'] is None
     assert 'found 0 of 3 poses' in done.out
@@ -274,7 +251,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Ru
 
     def run_made_up(count: int, at: dict[int, Callable[[], BadFrame | None]]) -> Run:
         monkeypatch.setattr(run, 'open_source', lambda *_: MadeUp(count, at))
-        return run_into(tmp_path / 'run', 'made-up')
+        return track_into(tmp_path / 'run', 'made-up')
 
     return run_made_up
 
@@ -300,14 +277,14 @@ def test_a_bad_frame_is_skipped_counted_and_named(made_up: Callable[..., Run]) -
 def test_a_frame_that_the_tracker_refuses_is_skipped(
     made_up: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    track = run.Tracker.track
+    track = Tracker.track
 
-    def picky(self: run.Tracker, frame: RgbdFrame) -> object:
+    def picky(self: Tracker, frame: RgbdFrame) -> object:
         if frame.stamp_ns == 10**9 + 33_000_000:
             raise FrameError('odd')
         return track(self, frame)
 
-    monkeypatch.setattr(run.Tracker, 'track', picky)
+    monkeypatch.setattr(Tracker, 'track', picky)
     done = made_up(4, {})
     assert 'dcgs: skipped frame 2: odd' in done.err.splitlines()
     assert done.frames()[1]['stamp'] == '1.033000000'
@@ -343,7 +320,7 @@ def test_a_signal_ends_the_run_with_everything_written(
     done = made_up(10_000, {3: twice})
     assert done.status == 128 + number
     assert signal.getsignal(number) is before
-    assert {path.name for path in done.folder.iterdir()} == OUTPUTS
+    assert done.files() == TRACKS
     report = done.report()
     assert report['interrupted'] is True
     assert 1 <= report['frames'] < 10_000
@@ -375,14 +352,15 @@ def test_runs_without_a_folder_of_their_own_are_numbered(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
-        assert main(['run', 'synthetic:plane?frames=1&sensor=ideal']) == 0
+        assert main(['run', 'synthetic:plane?frames=1&sensor=ideal', '--no-mapping']) == 0
         folder = f'runs/synthetic-plane-frames-1-sensor-ideal-{number}'
         assert f'{folder}/trajectory.png' in capsys.readouterr().out
         assert (tmp_path / folder / 'trajectory.tum').exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_a_process_writes_the_trajectory(tmp_path: Path) -> None:
-    words = ['run', 'synthetic:room?frames=100000', '--out', str(tmp_path / 'run')]
+    words = ['run', 'synthetic:room?frames=100000', '--no-mapping', '--out', str(tmp_path / 'run')]
     process = subprocess.Popen(
         [sys.executable, '-m', 'dcgs_ros.cli', *words],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

@@ -13,9 +13,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 CODE = """
 import sys
-from dcgs_ros.core.config import Config
-from dcgs_ros.core.tracker import Tracker
-from dcgs_ros.core.warmup import warm_up
+from dcgs_ros.cli import slam
+from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.workers import Workers
 from dcgs_ros.datasets.open import open_source
 
 def compiled():
@@ -29,22 +29,31 @@ def compiled():
     return counts
 
 source = open_source('synthetic:room?frames=30&sensor=ideal&speed=2')
-config = Config(ablation={ablation!r}, sensor=source.sensor)
-warm_up(source.camera, config)
+few = {{'mapping.spawn_stride_px': 16, 'mapping.steps_per_frame': 2, 'mapping.final_steps': 5}}
+few |= {{'mapping.prune_interval': 10, 'mapping.view_interval': 2}}
+config = override(Config(ablation={ablation!r}, sensor=source.sensor), few)
+both = slam.start(source.camera, config, {mapping}, False, Workers(2))
 before = compiled()
 assert any(before.values())
-tracker = Tracker(source.camera, config)
-results = [tracker.track(source.render(k)) for k in range(0, 30, 3)]
+results = []
+for k in range(0, 30, 3):
+    frame = source.render(k)
+    results.append(both.tracker.track(frame))
+    both.mapping.after(frame, results[-1])
+    both.mapping.advance()
+for left in both.mapping.finish():
+    pass
 assert sum(result.keyframe for result in results) >= 2
 after = compiled()
 assert before == after, {{key: after[key] for key in after if after[key] != before.get(key)}}
 """
 
 
-@pytest.mark.parametrize('ablation', ['full', 'shared'])
-def test_a_run_compiles_nothing_that_the_warm_up_did_not(ablation: str) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize(('ablation', 'mapping'), [('full', True), ('shared', False)])
+def test_a_run_compiles_nothing_that_the_warm_up_did_not(ablation: str, mapping: bool) -> None:
     done = subprocess.run(
-        [sys.executable, '-c', CODE.format(ablation=ablation)],
+        [sys.executable, '-c', CODE.format(ablation=ablation, mapping=mapping)],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

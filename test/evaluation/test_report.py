@@ -14,6 +14,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.observability import Observability
 from dcgs_ros.core.tracker import TrackingState, TrackResult
 from dcgs_ros.core.trajectory import Trajectory
+from dcgs_ros.evaluation.rendering import Scores, ViewScores
 from dcgs_ros.evaluation.report import (
     Accuracy,
     RunRecord,
@@ -21,6 +22,7 @@ from dcgs_ros.evaluation.report import (
     TrackedFrame,
     assess,
     build_report,
+    with_rendering,
 )
 
 FRAME_NS = 50_000_000
@@ -44,6 +46,7 @@ def tracked(
     T_world_cam = se3.exp(np.array([np.sin(0.3 * index), 0.1 * index, 0, 0, 0, 0.02 * index]))
     result = TrackResult(
         stamp_ns=index * FRAME_NS,
+        T_colour_depth=np.eye(4),
         T_world_cam=T_world_cam,
         covariance=np.eye(6),
         state=state,
@@ -84,6 +87,19 @@ def test_frames_are_counted_once_each() -> None:
     assert report['interrupted'] is False
 
 
+def test_dropped_frames_are_skipped_ones() -> None:
+    record = a_record()
+    record.skipped.append(SkippedFrame(6, 6 * FRAME_NS, 'frame 7', 'overtaken', dropped=True))
+    report = report_of(record)
+    assert (report['frames'], report['skipped'], report['dropped']) == (7, 2, 1)
+
+
+def test_the_report_tells_how_to_open_the_source_again() -> None:
+    record = RunRecord('room', 'full', '../data/room', 'fr1', tracked=[tracked(0)])
+    assert report_of(record)['address'] == '../data/room'
+    assert report_of(record)['camera'] == 'fr1'
+
+
 def test_speed_is_frames_over_the_time_inside_track() -> None:
     report = report_of(a_record())
     speed = report['tracking']
@@ -107,6 +123,28 @@ def test_map_and_offset_are_those_at_the_end() -> None:
     report = report_of(a_record())
     assert report['mapping'] == {'gaussians': 5000, 'iterations': 0, 'iterations_per_s': 0.0}
     assert report['timing'] == {'colour_depth_offset_ms': pytest.approx(0.5)}
+
+
+def test_a_mapper_counts_its_own_gaussians_and_steps() -> None:
+    record = a_record()
+    record.gaussians, record.iterations, record.mapping_s = 700, 30, 1.5
+    expected = {'gaussians': 700, 'iterations': 30, 'iterations_per_s': pytest.approx(20.0)}
+    assert report_of(record)['mapping'] == expected
+
+
+def test_rendering_is_null_until_views_are_scored() -> None:
+    report = report_of(a_record())
+    assert report['rendering'] is None
+    assert with_rendering(report, [])['rendering'] is None
+    masked = Scores(25.0, 0.9, None)
+    view = ViewScores(24.0, 0.8, float('nan'), 0, True, None, masked, 0.01)
+    scored = with_rendering(report, [view])
+    assert scored['rendering']['psnr_db'] == 24.0
+    assert scored['rendering']['lpips'] is None
+    assert {key: scored[key] for key in scored if key != 'rendering'} == {
+        key: report[key] for key in report if key != 'rendering'
+    }
+    json.dumps(scored, allow_nan=False)
 
 
 def test_one_frame_and_no_truth_make_a_report_of_strict_json() -> None:

@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A map of a running tracker and mapper, as files keep it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.keyframe_view import KeyframeView
+from ..core.mapper import Mapper
+from ..core.splats import Splats
+from ..core.tracker import Tracker
+from ..io.map_archive import SavedKeyframe, SavedMap
+
+_ROWS, _COLUMNS = np.triu_indices(3)  # xx xy xz yy yz zz
+
+
+def saved_map(mapper: Mapper, tracker: Tracker) -> SavedMap:
+    """Take the map as it is, after a last pruning: nothing that is not finite is in it.
+
+    The tracker's landmarks are not: they live in its last image.
+    """
+    mapper.prune()
+    table = mapper.table
+    viewpoints, covariances = _as_tracked(table.ids, tracker)
+    return SavedMap(
+        camera=mapper.camera,
+        config=mapper.config,
+        splats=Splats(np.ascontiguousarray(table.splats.planes)),
+        ids=table.ids.copy(),
+        hosts=table.hosts.copy(),
+        viewpoints=viewpoints,
+        track_covariances=covariances,
+        landmarks=np.empty((0, 3)),
+        landmark_covariances=np.empty((0, 3, 3)),
+        keyframes=tuple(_saved_keyframe(view) for view in mapper.views),
+    )
+
+
+def _as_tracked(
+    ids: NDArray[np.int64], tracker: Tracker
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Viewpoints (N, 3) and Sigma_t (N, 6) by id; NaN of what the tracker does not have."""
+    gaussians, config = tracker.gaussians, tracker.config
+    order = np.argsort(gaussians.ids)
+    rows = np.flatnonzero(gaussians.alive(ids))
+    found = np.searchsorted(gaussians.ids, ids[rows], sorter=order)
+    slots = order[found].astype(np.int32)
+    viewpoints = np.full((len(ids), 3), np.nan, np.float32)
+    covariances = np.full((len(ids), 6), np.nan, np.float32)
+    viewpoints[rows] = gaussians.viewpoints[slots]
+    Sigma_t = gaussians.tracking_covariances(
+        slots, config.sensor, config.registration.anchor_px, tracker.camera.focal
+    )
+    covariances[rows] = Sigma_t[:, _ROWS, _COLUMNS]
+    return viewpoints, covariances
+
+
+def _saved_keyframe(view: KeyframeView) -> SavedKeyframe:
+    color_jpeg, depth_png = view.encoded
+    return SavedKeyframe(
+        stamp_ns=view.stamp_ns,
+        T_world_cam=view.T_world_cam,
+        T_tracked=view.T_tracked,
+        exposure=np.stack([view.exposure.gain, view.exposure.offset]),
+        color_jpeg=color_jpeg,
+        depth_png=depth_png,
+    )

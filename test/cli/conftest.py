@@ -1,0 +1,33 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the tests of the command line share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # `test` itself is no package
+
+from runs import SMALL_CAMERA, SMALL_ROOM, Run, run_into  # type: ignore[import-not-found]
+
+from dcgs_ros.cli import scoring
+from dcgs_ros.datasets.synthetic import SyntheticSource
+
+
+@pytest.fixture(scope='module')
+def small_images() -> Iterator[None]:
+    """Have synthetic sources make images of a sixteenth of the pixels; nobody computes LPIPS."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SyntheticSource, 'camera', SMALL_CAMERA)
+        patch.setattr(scoring.Lpips, 'load', lambda: None)
+        yield
+
+
+@pytest.fixture(scope='module')
+def mapped(small_images: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Map a few small images, once."""
+    return run_into(tmp_path_factory.mktemp('runs') / 'mapped', *SMALL_ROOM)

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""`dcgs run` inside the test's process, and what came of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dcgs_ros.cli.main import main
+from dcgs_ros.core.camera import PinholeCamera
+
+TRACKS = {
+    'trajectory.tum', 'keyframes.tum', 'frames.csv', 'config.yaml', 'report.json',
+    'trajectory.png',
+}  # fmt: skip
+MAPS = {'map.ply', 'map.dcgs', 'views.png'}
+SMALL_CAMERA = PinholeCamera(160, 120, 131.25, 131.25, 79.5, 59.5)
+SMALL_FRAMES = 10
+SMALL_ADDRESS = f'synthetic:room?frames={SMALL_FRAMES}'
+# Dense enough a sampling for small images; a view every third frame, few steps.
+SMALL_ROOM = (
+    SMALL_ADDRESS, '--render-every', '2', '--set', 'cloud.stride_px=4',
+    'keyframes.spawn_stride_px=3', 'mapping.view_interval=3', 'mapping.steps_per_frame=2',
+    'mapping.final_steps=12',
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of `dcgs run`."""
+
+    folder: Path
+    status: int
+    out: str
+    err: str
+
+    def files(self) -> set[str]:
+        return {path.name for path in self.folder.iterdir()}
+
+    def report(self) -> dict[str, Any]:
+        def refuse(constant: str) -> None:
+            raise AssertionError(f'{constant} is not JSON')
+
+        text = (self.folder / 'report.json').read_text()
+        report = json.loads(text, parse_constant=refuse)
+        assert isinstance(report, dict)
+        return report
+
+    def frames(self) -> list[dict[str, str]]:
+        with (self.folder / 'frames.csv').open(newline='') as file:
+            return list(csv.DictReader(file))
+
+
+def run_into(folder: Path, *words: str) -> Run:
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = main(['run', *words, '--out', str(folder)])
+    return Run(folder, status, out.getvalue(), err.getvalue())

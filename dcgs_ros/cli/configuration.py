@@ -9,11 +9,17 @@ from ..core.sensor import SensorNoise
 from ..io.settings import apply_file
 from .arguments import RunArguments, UsageError
 
-# Steps of the mapper by --quality.
-QUALITIES: dict[str, dict[str, int]] = {
+# What --quality asks of the mapper: more steps, and for those also more Gaussians and views.
+QUALITIES: dict[str, dict[str, float]] = {
     'draft': {'mapping.steps_per_frame': 1, 'mapping.final_steps': 100},
     'default': {},
-    'high': {'mapping.steps_per_frame': 6, 'mapping.final_steps': 3000},
+    'high': {
+        'mapping.steps_per_frame': 4,
+        'mapping.final_steps': 6000,
+        'mapping.spawn_stride_px': 3,
+        'mapping.view_interval': 2,
+        'mapping.exposure_share': 0.9,
+    },
 }
 
 

@@ -17,13 +17,11 @@ _ROWS, _COLUMNS = np.triu_indices(3)  # xx xy xz yy yz zz
 
 
 def saved_map(mapper: Mapper, tracker: Tracker) -> SavedMap:
-    """Take the map as it is, after a last pruning: nothing that is not finite is in it.
-
-    The tracker's landmarks are not: they live in its last image.
-    """
+    """Take the map as it is, after a last pruning: nothing that is not finite is in it."""
     mapper.prune()
     table = mapper.table
     viewpoints, covariances = _as_tracked(table.ids, tracker)
+    landmarks = tracker.landmarks.targets
     return SavedMap(
         camera=mapper.camera,
         config=mapper.config,
@@ -32,8 +30,8 @@ def saved_map(mapper: Mapper, tracker: Tracker) -> SavedMap:
         hosts=table.hosts.copy(),
         viewpoints=viewpoints,
         track_covariances=covariances,
-        landmarks=np.empty((0, 3)),
-        landmark_covariances=np.empty((0, 3, 3)),
+        landmarks=landmarks.points.astype(np.float64),
+        landmark_covariances=landmarks.covariances,
         keyframes=tuple(_saved_keyframe(view) for view in mapper.views),
     )
 

@@ -115,7 +115,7 @@ class MappingConfig(Stage):
 
     view_interval: int = ranged(4, 1, 1000)  # frames after which one is mapped, keyframe or not
     steps_per_frame: float = ranged(3.0, 0, 1000)  # in lockstep with the tracker
-    final_steps: int = ranged(500, 0, 1000000)  # after the last frame
+    final_steps: int = ranged(1500, 0, 1000000)  # after the last frame
     newest_share: float = ranged(0.2, 0, 1)  # of the steps: on the view that had the fewest
     coarse_share: float = ranged(0.5, 0, 1)  # of the steps before the last frame: half resolution
     ssim_weight: float = ranged(0.2, 0, 1)
@@ -127,6 +127,7 @@ class MappingConfig(Stage):
     spawn_flatness: float = ranged(0.15, 1e-3, 1)  # its third sigma against the others
     spawn_opacity: float = ranged(0.7, 0.01, 0.99)
     fill_opacity: float = ranged(0.7, 0.01, 0.99)  # ... where depth is a neighbour's
+    reach_sigmas: float = ranged(0.15, 0, 1e6)  # sigma_z that a measured mean may be moved by
     prune_interval: int = ranged(100, 1, 100000)  # steps
     prune_opacity: float = ranged(0.02, 0, 1)
     prune_weight: float = ranged(0.5, 0, 1e6)  # pixels: one that never had more in an image goes

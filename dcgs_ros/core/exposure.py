@@ -13,7 +13,7 @@ from .render.renderer import Rendering
 _STRIDE = 3  # pixels: a ninth of them is plenty for two numbers a channel
 _COVERED = 0.1  # transmittance of the pixels that the map shows
 _DARK, _BRIGHT = 0.03, 0.97  # the sensor clips beyond
-_OUTLIER = 0.15  # a larger difference is not the exposure's
+_OUTLIER = 0.15  # a larger difference, even after the exposure before, is not the exposure's
 _MIN_PIXELS = 200
 _PRIOR = 0.01  # variance of colour that stands for "gain 1": flat images tell no gain
 
@@ -25,7 +25,7 @@ def fitted(rendering: Rendering, target: Target, before: Exposure, share: float)
     than need be. `before` is kept where too little can be compared.
     """
     fit = np.full((2, 3), np.nan, np.float32)
-    _fit(rendering.planes, target.color, target.valid, fit)
+    _fit(rendering.planes, target.color, target.valid, before.gain, before.offset, fit)
     none = np.array([[1.0], [0.0]], np.float32)
     kept = none + np.float32(share) * (fit - none)
     gain, offset = np.where(np.isnan(fit), (before.gain, before.offset), kept)
@@ -39,7 +39,7 @@ def blended(old: Exposure, new: Exposure, share: float) -> Exposure:
 
 
 @kernel
-def _fit(planes, target, valid, out):
+def _fit(planes, target, valid, gain_before, offset_before, out):
     height, width = valid.shape
     for c in range(3):
         n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
@@ -48,7 +48,8 @@ def _fit(planes, target, valid, out):
                 x, y = planes[c, v, u], target[c, v, u]
                 if not valid[v, u] or planes[4, v, u] > _COVERED:
                     continue
-                if _DARK < y < _BRIGHT and abs(x - y) < _OUTLIER:
+                error = min(abs(x - y), abs(gain_before[c] * x + offset_before[c] - y))
+                if _DARK < y < _BRIGHT and error < _OUTLIER:
                     n += 1
                     sum_x += x
                     sum_y += y

@@ -108,22 +108,17 @@ class GaussianMap:
         self._means[slots] = np.nan
         self._free.extend(slots.tolist())
 
-    def update(
+    def reshape(
         self,
         ids: NDArray[np.int64],  # (N,) unique
-        means: NDArray[np.float32],  # (N, 3) metres, world
         normals: NDArray[np.float32],  # (N, 3) unit, world
         flatness: NDArray[np.float32],  # (N,)
     ) -> None:
-        """Give Gaussians what the mapper made of them; those not alive are passed over.
+        """Take over what the mapper made of Sigma_r; ids that are not alive are passed over.
 
         A normal keeps its side: of an axis of Sigma_r either direction is as good.
         """
-        alive = self.alive(ids)
-        slots = self._slots(ids)
-        self.index.remove(self._means, slots)
-        self._means[slots] = means[alive]
-        self.index.insert(self._means, slots)
+        alive, slots = self.alive(ids), self._slots(ids)
         facing = np.einsum('ij,ij->i', normals[alive], self._normals[slots])
         self._normals[slots] = np.where(facing[:, None] < 0, -normals[alive], normals[alive])
         self._flatness[slots] = flatness[alive]

@@ -151,6 +151,15 @@ class KeyframeView:
         """Keep the images compressed from now on."""
         self._encoded, self._images = self.encoded, None
 
+    def retire(self) -> None:
+        """Give the images up; pose and exposure stay as they are."""
+        self._encoded, self._images = (b'', b''), None
+
+    @property
+    def active(self) -> bool:
+        """Whether there still are images to optimise for."""
+        return self.bytes > 0
+
     def target(self, valid: NDArray[np.bool_], shrink: int, workers: Workers) -> Target:
         """Unpack what a rendering with one pixel for each shrink x shrink should look like."""
         images = self.images
@@ -207,14 +216,12 @@ def _without_cracks(depth_m):
     """Close gaps of one pixel that resampling leaves in a surface."""
     out = depth_m.copy()
     height, width = depth_m.shape
-    for v in range(1, height - 1):
-        for u in range(1, width - 1):
-            if depth_m[v, u] > 0:
-                continue
-            for a, b in (
-                (depth_m[v, u - 1], depth_m[v, u + 1]), (depth_m[v - 1, u], depth_m[v + 1, u]),
-            ):  # fmt: skip
-                if a > 0 and b > 0 and abs(a - b) < _CRACK * a:
+    for axis in range(2):  # where gaps cross, the second one meets what closed the first
+        dv, du = axis, 1 - axis
+        for v in range(dv, height - dv):
+            for u in range(du, width - du):
+                a, b = out[v - dv, u - du], out[v + dv, u + du]
+                if out[v, u] == 0 and a > 0 and b > 0 and abs(a - b) < _CRACK * a:
                     out[v, u] = np.float32(0.5) * (a + b)
     return out
 

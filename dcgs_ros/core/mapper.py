@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from . import exposure, se3
 from .camera import PinholeCamera
 from .config import Config
 from .corrections import Corrections
+from .errors import DcgsError
 from .frame import RgbdFrame
 from .keyframe_view import Images, KeyframeView, Rectifier
 from .losses import Exposure, ImageLoss, Target
@@ -49,6 +50,10 @@ class MapUpdate:
     removed: NDArray[np.int64]  # (R,)
 
 
+class MapperError(DcgsError):
+    """What the mapper was given, or asked for, cannot be."""
+
+
 class Mapper:
     """Photometric optimisation of the map over a window of newest and replayed keyframes.
 
@@ -76,12 +81,16 @@ class Mapper:
             for shrink in (1, _COARSE)
         }  # fmt: skip
         self._random = np.random.default_rng(settings.seed)
-        self._round: list[int] = []  # views still to be replayed in this round
+        self._round: list[KeyframeView] = []  # views still to be replayed in this round
         self._next_own_id = -1
         self._removed: list[NDArray[np.int64]] = []
 
     def insert(self, keyframe: Keyframe) -> None:
-        """Take a keyframe in: its Gaussians, and others where its image still lacks some."""
+        """Take a keyframe in: its Gaussians, and others where its image still lacks some.
+
+        Raises `MapperError` for one that cannot be; the mapper is then as it was before.
+        """
+        self._check(keyframe)
         images = self._rectify(keyframe.frame, keyframe.T_colour_depth)
         view = KeyframeView.of(
             len(self.views), keyframe.frame.stamp_ns, keyframe.T_world_cam, images,
@@ -96,11 +105,28 @@ class Mapper:
         self._spawn(keyframe, view, images, rendering)
         self._shrink_memory()
 
+    def _check(self, keyframe: Keyframe) -> None:
+        height, width = keyframe.frame.depth_m.shape
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise MapperError(
+                f'image is {width}x{height}, the camera {self.camera.width}x{self.camera.height}'
+            )
+        n = len(keyframe.ids)
+        if keyframe.means.shape != (n, 3) or keyframe.normals.shape != (n, 3):
+            raise MapperError(
+                f'{n} ids come with means {keyframe.means.shape} and normals '
+                f'{keyframe.normals.shape}'
+            )
+        for name in ('T_world_cam', 'T_colour_depth'):
+            if not np.all(np.isfinite(getattr(keyframe, name))):
+                raise MapperError(f'{name} of a keyframe is not finite')
+
     def _spawn(
         self, keyframe: Keyframe, view: KeyframeView, images: Images, rendering: Rendering
     ) -> None:
         """Add the tracker's Gaussians, and own ones where the map lacks any even so."""
         config = self.config.mapping
+        keyframe = self._finite(keyframe)
         camera = View.of(self.camera, view.T_world_cam)
         moved = view.T_world_cam @ se3.inverse(keyframe.T_world_cam)
         measured = Surface(
@@ -119,7 +145,30 @@ class Mapper:
         ]
         room = slice(max(0, config.max_gaussians - len(self.table)))
         planes = np.concatenate(new, axis=1)[:, room]
-        self.table.append(Splats(planes), np.concatenate([keyframe.ids, ids])[room], view.index)
+        sigma_z = self._sigma_z(measured, camera)
+        reach_m = np.full(planes.shape[1], np.inf, np.float32)
+        reach_m[: len(sigma_z)] = config.reach_sigmas * sigma_z[room]
+        back = se3.inverse(moved)
+        own = lacks.points @ back[:3, :3].T + back[:3, 3]
+        tracked = np.concatenate([keyframe.means, own])[room].T.astype(np.float32)
+        ids = np.concatenate([keyframe.ids, ids])[room]
+        self.table.append(Splats(planes), ids, view.index, tracked, reach_m)
+
+    def _finite(self, keyframe: Keyframe) -> Keyframe:
+        """Leave out and count the spawned Gaussians that are not finite."""
+        numbers = np.concatenate([keyframe.means, keyframe.normals], axis=1)
+        keep = np.isfinite(numbers).all(axis=1)
+        self.poisoned += int(np.count_nonzero(~keep))
+        self._removed.append(keyframe.ids[~keep])
+        return replace(
+            keyframe, ids=keyframe.ids[keep], means=keyframe.means[keep],
+            normals=keyframe.normals[keep],
+        )  # fmt: skip
+
+    def _sigma_z(self, surface: Surface, camera: View) -> NDArray[np.float64]:
+        """(N,) noise of the depth that a surface was measured with, metres."""
+        R, t = camera.T_world_cam[:3, :3], camera.T_world_cam[:3, 3]
+        return np.asarray(self.config.sensor.sigma((surface.points - t) @ R[:, 2]))
 
     def step(self, rate: float = 1.0, replay: bool = False) -> float:
         """Take one optimisation step on one view; returns its loss.
@@ -144,6 +193,7 @@ class Mapper:
         self.steps += 1
         if self.steps % self.config.mapping.prune_interval == 0:
             self.prune()
+            self._anchor()
             self._center_exposures()
         return loss.value
 
@@ -152,13 +202,16 @@ class Mapper:
         return exposure.fitted(rendering, target, view.exposure, share)
 
     def _chosen(self, replay: bool) -> tuple[KeyframeView, int]:
+        if not self.views:
+            raise MapperError('there is no keyframe to optimise for yet')
         config = self.config.mapping
+        active = [view for view in self.views if view.active]
         if not replay and self._random.random() < config.newest_share:
-            chosen = min(reversed(self.views), key=lambda view: view.visits)
+            chosen = min(reversed(active), key=lambda view: view.visits)
         else:
             if not self._round:
-                self._round = self._random.permutation(len(self.views)).tolist()
-            chosen = self.views[self._round.pop()]
+                self._round = [active[k] for k in self._random.permutation(len(active))]
+            chosen = self._round.pop()
         coarse = not replay and self._random.random() < config.coarse_share
         return chosen, _COARSE if coarse else 1
 
@@ -171,16 +224,19 @@ class Mapper:
         return rate * np.repeat([self.config.rates.pose_m, self.config.rates.pose_rad], 3)
 
     def prune(self) -> None:
-        """Drop what is transparent, too large, without effect, or not finite."""
+        """Drop what is transparent, too large, without effect, or not finite.
+
+        One without effect has had its trial, or its host has and never saw it.
+        """
         config, table = self.config.mapping, self.table
         splats = table.splats
         finite = np.isfinite(splats.planes).all(axis=0)
         self.poisoned += int(np.count_nonzero(~finite))
-        logit = np.log(config.prune_opacity / (1 - config.prune_opacity))
-        with np.errstate(invalid='ignore'):
-            keep = finite & (splats.opacity_logits > logit)
+        with np.errstate(invalid='ignore', over='ignore'):
+            keep = finite & (1 / (1 + np.exp(-splats.opacity_logits)) > config.prune_opacity)
             keep &= splats.log_scales.max(axis=0) < np.log(config.prune_scale_m)
-        tried = table.visits >= config.trial_visits
+        hosts = np.array([view.visits for view in self.views], np.int64)
+        tried = np.maximum(table.visits, hosts[table.hosts]) >= config.trial_visits
         keep &= ~tried | (table.weights > config.prune_weight)
         if not keep.all():
             self._removed.append(table.ids[~keep & (table.ids >= 0)])
@@ -189,29 +245,41 @@ class Mapper:
     def update(self) -> MapUpdate:
         """Tell the tracker what changed since the last time."""
         columns = self.table.report()
+        finite = np.isfinite(self.table.planes[:, columns]).all(axis=0)
+        columns = columns[finite]
         normals, flatness = self.table.splats.shape(columns)
         means, normals = self._seen_by_tracker(columns, normals)
-        finite = np.isfinite(means).all(axis=1) & np.isfinite(normals).all(axis=1)
         removed = np.concatenate([np.empty(0, np.int64), *self._removed])
         self._removed.clear()
-        return MapUpdate(
-            self.table.ids[columns][finite], np.ascontiguousarray(means[finite]),
-            normals[finite], flatness[finite], removed,
-        )  # fmt: skip
+        return MapUpdate(self.table.ids[columns], means, normals, flatness, removed)
 
     def _seen_by_tracker(
         self, columns: NDArray[np.int64], normals: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Means and normals (K, 3) in the tracker's world.
 
-        The poses of the views are refined here, not there: a Gaussian is where its host keyframe
-        sees it, and goes back to where the tracker had that.
+        The poses of the views are refined here, not there: what goes back is how far a Gaussian
+        has come from where its host saw it.
         """
-        back = np.array([v.T_tracked @ se3.inverse(v.T_world_cam) for v in self.views])
-        T = back[self.table.hosts[columns]]
-        means = np.einsum('nij,jn->ni', T[:, :3, :3], self.table.splats.means[:, columns])
-        turned = np.einsum('nij,nj->ni', T[:, :3, :3], normals)
-        return (means + T[:, :3, 3]).astype(np.float32), turned.astype(np.float32)
+        table = self.table
+        turns = [v.T_tracked[:3, :3] @ v.T_world_cam[:3, :3].T for v in self.views]
+        R = np.array(turns).reshape(-1, 3, 3)[table.hosts[columns]]
+        moved = table.splats.means[:, columns] - table.anchors[:, columns]
+        means = table.measured[:, columns].T + np.einsum('nij,jn->ni', R, moved)
+        turned = np.einsum('nij,nj->ni', R, normals)
+        return means.astype(np.float32), turned.astype(np.float32)
+
+    def _anchor(self) -> None:
+        """Let the anchors follow the views that spawned them, and means keep in reach of them."""
+        there = np.array([v.T_world_cam @ se3.inverse(v.T_tracked) for v in self.views])
+        table = self.table
+        T = there[table.hosts]
+        table.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], table.measured) + T[:, :3, 3].T
+        moved = table.splats.means - table.anchors
+        far = np.linalg.norm(moved, axis=0)
+        out = np.flatnonzero(far > table.reach_m)
+        share = table.reach_m[out] / far[out]
+        table.splats.means[:, out] = table.anchors[:, out] + share * moved[:, out]
 
     def _center_exposures(self) -> None:
         """Make the mean exposure none at all, and give what it was to the map's colours.
@@ -226,14 +294,19 @@ class Mapper:
             view.exposure = Exposure(left, view.exposure.offset - left * offset)
 
     def _shrink_memory(self) -> None:
-        """Compress the oldest views beyond the budget."""
+        """Compress the oldest views beyond the budget, then do without every second of them."""
+        budget = 1e6 * self.config.mapping.image_memory_mb
         held = sum(view.bytes for view in self.views)
-        for view in self.views:
-            if held <= 1e6 * self.config.mapping.image_memory_mb:
+        for view in self.views[:-1]:
+            if held <= budget:
                 return
             held -= view.bytes
             view.compress()
             held += view.bytes
+        if held > budget:
+            for view in [view for view in self.views[:-1] if view.active][1::2]:
+                view.retire()
+            self._round.clear()
 
     def render(self, T_world_cam: NDArray[np.float64]) -> Rendering:
         """Show the map from a pose in the mapper's world."""

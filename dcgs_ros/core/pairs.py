@@ -30,6 +30,13 @@ class Targets:
         """Select a subset."""
         return Targets(self.points[keep], self.axes[keep], self.perp[keep], self.along[keep])
 
+    @property
+    def covariances(self) -> NDArray[np.float64]:
+        """(N, 3, 3) square metres, world."""
+        outer = self.axes[:, :, None] * self.axes[:, None, :]
+        perp, along = self.perp[:, None, None], self.along[:, None, None]
+        return np.asarray(perp * np.eye(3) + (along - perp) * outer)
+
 
 def observed_from(
     points: NDArray[np.float32], viewpoints: NDArray, sensor: SensorNoise, anchor: float

@@ -84,8 +84,10 @@ def lacking(
     v, u = (
         k.ravel() for k in np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     )
-    T = rendering.transmittance[v // shrink, u // shrink]
-    shown_m = rendering.depth[v // shrink, u // shrink] / np.maximum(1 - T, 1e-3)
+    rows, columns = rendering.depth.shape  # of an odd size one pixel is beyond them
+    at = np.minimum(v // shrink, rows - 1), np.minimum(u // shrink, columns - 1)
+    T = rendering.transmittance[at]
+    shown_m = rendering.depth[at] / np.maximum(1 - T, 1e-3)
     measured = depth_m[v, u] > 0
     nearer = measured & (depth_m[v, u] < _NEARER * shown_m - _NEARER_M)
     lacks = ((T > config.spawn_transmittance) | nearer) & valid[v, u] & (filled[v, u] > 0)
@@ -112,9 +114,13 @@ def _pixels(points: NDArray, view: View) -> tuple[NDArray[np.float64], NDArray[n
 
 def _filled(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Depth with holes filled from the nearest measurement; zeros where there is none at all."""
-    small = depth_m[::_FILL_SHRINK, ::_FILL_SHRINK]
+    if not (depth_m <= 0).any():
+        return depth_m
+    block = np.ones((_FILL_SHRINK, _FILL_SHRINK), np.uint8)
+    farthest = cv2.dilate(depth_m, block, anchor=(0, 0))  # of the block that begins at a pixel
+    small = np.asarray(farthest)[::_FILL_SHRINK, ::_FILL_SHRINK]
     holes = (small <= 0).astype(np.uint8)
-    if holes.all() or not (depth_m <= 0).any():
+    if holes.all():
         return depth_m
     _, labels = cv2.distanceTransformWithLabels(
         holes, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL

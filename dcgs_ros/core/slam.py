@@ -180,6 +180,10 @@ class Online:
 
 
 def apply(update: MapUpdate, tracker: Tracker) -> None:
-    """Give the tracker what the mapper made of its Gaussians."""
+    """Give the tracker what the mapper made of its Gaussians: their shape, and who is gone.
+
+    Means stay as they were measured. The mapper's are within a fraction of sigma_z of them, and
+    made the tracker slightly worse.
+    """
     tracker.gaussians.remove(update.removed)
-    tracker.gaussians.update(update.ids, update.means, update.normals, update.flatness)
+    tracker.gaussians.reshape(update.ids, update.normals, update.flatness)

@@ -17,7 +17,8 @@ from .workers import Workers
 _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-15
 _TABLE = 8192  # visits after which a bias correction is 1 to the last bit
 _NOBODY = np.iinfo(np.int64).min  # id of the columns that only fill up the last group
-_TRANSPARENT = -100.0
+_FILLS = {'ids': _NOBODY, 'planes': -100.0, 'reach_m': np.inf}  # transparent, and left alone
+_STEEPEST = 1e15  # a gradient whose square is still a float
 
 
 class SplatTable:
@@ -38,7 +39,9 @@ class SplatTable:
             'weights': np.empty(0, np.float32),
             'ids': np.empty(0, np.int64),
             'hosts': np.empty(0, np.int32),
-            'origins': np.empty((3, 0), np.float32),
+            'measured': np.empty((3, 0), np.float32),
+            'anchors': np.empty((3, 0), np.float32),
+            'reach_m': np.empty(0, np.float32),
             'reported': np.empty(0, np.int32),
         }
         steps = np.arange(1, _TABLE + 1)
@@ -70,9 +73,19 @@ class SplatTable:
         return self._columns['hosts'][: self._count]
 
     @property
-    def origins(self) -> NDArray[np.float32]:
-        """(3, N) means as they were spawned, metres, world."""
-        return self._columns['origins'][:, : self._count]
+    def measured(self) -> NDArray[np.float32]:
+        """(3, N) means as they were spawned, metres, the tracker's world."""
+        return self._columns['measured'][:, : self._count]
+
+    @property
+    def anchors(self) -> NDArray[np.float32]:
+        """(3, N) the same in the mapper's world; to be written to when views move."""
+        return self._columns['anchors'][:, : self._count]
+
+    @property
+    def reach_m(self) -> NDArray[np.float32]:
+        """(N,) how far each mean may be from its anchor."""
+        return self._columns['reach_m'][: self._count]
 
     @property
     def visits(self) -> NDArray[np.int32]:
@@ -97,7 +110,14 @@ class SplatTable:
         sh_dc *= exposure.gain[:, None]
         sh_dc += ((0.5 * (exposure.gain - 1) + exposure.offset) / np.float32(SH_C0))[:, None]
 
-    def append(self, splats: Splats, ids: NDArray[np.int64], host: int) -> None:
+    def append(
+        self,
+        splats: Splats,
+        ids: NDArray[np.int64],  # (N,)
+        host: int,
+        measured: NDArray[np.float32],  # (3, N) means in the tracker's world
+        reach_m: NDArray[np.float32],  # (N,) how far a mean may get from there
+    ) -> None:
         """Add Gaussians."""
         new = {
             'planes': splats.planes,
@@ -107,7 +127,9 @@ class SplatTable:
             'weights': np.zeros(len(splats), np.float32),
             'ids': ids,
             'hosts': np.full(len(splats), host, np.int32),
-            'origins': splats.means,
+            'measured': measured,
+            'anchors': splats.means,
+            'reach_m': reach_m,
             'reported': np.zeros(len(splats), np.int32),
         }
         self._replace(
@@ -128,7 +150,7 @@ class SplatTable:
         self._count = len(columns['ids'])
         missing = -self._count % LANES
         for name, column in columns.items():
-            fill = _NOBODY if name == 'ids' else _TRANSPARENT if name == 'planes' else 0
+            fill = _FILLS.get(name, 0)
             padding = np.full((*column.shape[:-1], missing), fill, column.dtype)
             self._columns[name] = np.concatenate([column, padding], axis=-1)
 
@@ -140,27 +162,28 @@ class SplatTable:
     ) -> None:
         """Move the Gaussians that have a gradient by one step of Adam (Kingma and Ba 2015).
 
-        The others keep their moments too; bias correction counts each one's own visits.
+        The others keep their moments too; bias correction counts each one's own visits. A mean
+        that would leave its reach stays at the edge of it.
         """
         c = self._columns
         workers.run(
             _adam, c['planes'], c['first_moments'], c['second_moments'], c['visits'],
             c['weights'], gradients.planes, gradients.touched, gradients.weights, rates,
-            self._unbias_1, self._unbias_2,
+            self._unbias_1, self._unbias_2, c['anchors'], c['reach_m'],
         )  # fmt: skip
 
 
 @kernel
 def _adam(
     piece, pieces, planes, first, second, visits, best_weights, gradients, touched, weights, rates,
-    unbias_1, unbias_2,
+    unbias_1, unbias_2, anchors, reach_m,
 ):  # fmt: skip
     groups = planes.shape[1] // LANES
     moved = np.empty(LANES, np.float32)
     scale_1 = np.empty(LANES, np.float32)
     scale_2 = np.empty(LANES, np.float32)
     beta_1, beta_2 = np.float32(_BETA_1), np.float32(_BETA_2)
-    one, epsilon = np.float32(1.0), np.float32(_EPSILON)
+    one, epsilon, steepest = np.float32(1.0), np.float32(_EPSILON), np.float32(_STEEPEST)
     for group in range(piece * groups // pieces, (piece + 1) * groups // pieces):
         start = group * LANES
         any_ = False
@@ -179,9 +202,20 @@ def _adam(
             rate = rates[k]
             for lane in range(LANES):
                 i, on = start + lane, moved[lane]
-                g = gradients[k, i]
+                g = min(max(gradients[k, i], -steepest), steepest)
+                g = g if on > 0 else np.float32(0.0)  # where it may be anything
                 m = first[k, i] + on * (one - beta_1) * (g - first[k, i])
                 v = second[k, i] + on * (one - beta_2) * (g * g - second[k, i])
                 step = rate * scale_1[lane] * m / (np.sqrt(v * scale_2[lane]) + epsilon)
                 first[k, i], second[k, i] = m, v
                 planes[k, i] -= on * step
+        for lane in range(LANES):
+            i = start + lane
+            x, y = planes[0, i] - anchors[0, i], planes[1, i] - anchors[1, i]
+            z = planes[2, i] - anchors[2, i]
+            far = x * x + y * y + z * z
+            if touched[i] and far > reach_m[i] * reach_m[i]:
+                share = reach_m[i] / np.sqrt(far)
+                planes[0, i] = anchors[0, i] + share * x
+                planes[1, i] = anchors[1, i] + share * y
+                planes[2, i] = anchors[2, i] + share * z

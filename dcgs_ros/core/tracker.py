@@ -126,6 +126,11 @@ class Tracker:
         self._seen = seen
         return self._result(frame, seen, result, keyframe, spawned)
 
+    @property
+    def landmarks(self) -> Landmarks:
+        """Landmarks alive, where they are in the last image and in the world."""
+        return self._landmarks
+
     def _check(self, frame: RgbdFrame) -> None:
         height, width = frame.depth_m.shape
         if (width, height) != (self.camera.width, self.camera.height):

@@ -13,7 +13,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import count
 from typing import Any
 
@@ -48,10 +48,13 @@ class Workers:
                 kernel(piece, pieces, *arguments)
 
         others = [self._pool.submit(work) for _ in range(self.threads - 1)]
-        work()
-        for other in others:
-            if not other.cancel():  # one that never started has nothing left to do
-                other.result()
+        try:
+            work()
+        finally:  # nobody writes into the caller's arrays any more when this returns or raises
+            started = [other for other in others if not other.cancel()]
+            wait(started)
+        for other in started:
+            other.result()
 
     def close(self) -> None:
         """Let the threads end; what runs is waited for."""

@@ -117,20 +117,84 @@ def test_the_same_id_twice_is_removed_once() -> None:
     assert len(gaussians) == 25 == len(gaussians.means)
 
 
-def test_moved_gaussians_are_found_where_they_went() -> None:
-    gaussians, means = GaussianMap(CELL_M), scattered(200, seed=11)
-    ids = add(gaussians, means)
-    chosen = np.random.default_rng(12).permutation(ids)[:80]
-    there = means[chosen] + np.random.default_rng(13).normal(scale=0.1, size=(80, 3)).astype('f4')
-    gaussians.move(chosen, there)
-    np.testing.assert_array_equal(found(gaussians, there), chosen)
-    np.testing.assert_array_equal(found(gaussians, means[chosen]), -1)
+def test_another_shape_is_each_ones_own_and_moves_nobody() -> None:
+    gaussians, means, rng = GaussianMap(CELL_M), scattered(100, seed=11), np.random.default_rng(12)
+    ids = add(gaussians, means, (1.0, 2.0, 3.0), host=5)
+    chosen = rng.permutation(ids)[:40]
+    flatness = rng.random(40).astype(np.float32)
+    normals = rng.normal(size=(40, 3)).astype(np.float32)
+    normals[:, 2] = -np.abs(normals[:, 2])  # on the side they were
+    gaussians.reshape(chosen, normals, flatness)
+    slots = gaussians.index.nearest(gaussians.means, means[chosen], 1e-4)
+    np.testing.assert_array_equal(gaussians.ids[slots], chosen)
+    np.testing.assert_array_equal(gaussians.normals[slots], normals)
+    np.testing.assert_array_equal(gaussians.flatness[slots], flatness)
+    np.testing.assert_array_equal(found(gaussians, means), ids)
+    np.testing.assert_array_equal(gaussians.means, means)
+    np.testing.assert_array_equal(gaussians.viewpoints, [[1, 2, 3]] * 100)
+    np.testing.assert_array_equal(gaussians.hosts, 5)
     rest = np.setdiff1d(ids, chosen)
-    np.testing.assert_array_equal(found(gaussians, means[rest]), rest)
-    assert len(gaussians) == 200
+    np.testing.assert_array_equal(gaussians.normals[rest], [[0, 0, -1]] * 60)
+    np.testing.assert_array_equal(gaussians.flatness[rest], 0)
 
 
-steps = st.lists(st.tuples(st.sampled_from('arm'), st.integers(0, 2**31)), min_size=1, max_size=12)
+def test_a_normal_keeps_its_side() -> None:
+    """Either direction of an axis of Sigma_r may come; across the old one both are as good."""
+    gaussians = GaussianMap(CELL_M)
+    ids = add(gaussians, scattered(3, seed=20))  # normals (0, 0, -1)
+    tilted = np.array([[0.6, 0, 0.8], [0.6, 0, -0.8], [1, 0, 0]], np.float32)
+    gaussians.reshape(ids, tilted, np.zeros(3, np.float32))
+    np.testing.assert_array_equal(gaussians.normals, tilted * np.array([[-1], [1], [1]]))
+
+
+def test_a_shape_of_what_is_gone_or_never_was_is_passed_over() -> None:
+    gaussians = GaussianMap(CELL_M)
+    ids = add(gaussians, scattered(30, seed=21))
+    gaussians.remove(ids[10:20])
+    asked = np.array([999, 12, 3, -1, 15, 25, 30], np.int64)
+    flatness = np.arange(1, 8, dtype=np.float32)
+    gaussians.reshape(asked, np.tile(np.array([0, 0, -1], np.float32), (7, 1)), flatness)
+    expected = np.zeros(30)
+    expected[[3, 25]] = flatness[[2, 5]]
+    living = gaussians.ids >= 0
+    assert len(gaussians) == 20 == living.sum()
+    np.testing.assert_array_equal(gaussians.flatness[living], expected[living])
+    gaussians.reshape(np.empty(0, np.int64), np.empty((0, 3), 'f4'), np.empty(0, 'f4'))
+
+
+def test_an_empty_map_passes_over_all_of_it() -> None:
+    gaussians = GaussianMap(CELL_M)
+    gaussians.reshape(np.arange(3), np.ones((3, 3), np.float32), np.zeros(3, np.float32))
+    gaussians.remove(np.arange(3))
+    assert len(gaussians) == 0 and not gaussians.alive(np.arange(3)).any()
+
+
+def test_alive_are_those_added_and_not_removed() -> None:
+    gaussians = GaussianMap(CELL_M)
+    ids = add(gaussians, scattered(10, seed=24))
+    gaussians.remove(ids[::2])
+    add(gaussians, scattered(4, seed=25))  # into the free slots
+    asked = np.array([-5, -1, 0, 1, 2, 9, 10, 13, 14, 10**12])
+    expected = [False, False, False, True, False, True, True, True, False, False]
+    before = asked.copy()
+    np.testing.assert_array_equal(gaussians.alive(asked), expected)
+    np.testing.assert_array_equal(asked, before)
+    assert gaussians.alive(np.empty(0, np.int64)).shape == (0,)
+
+
+def test_of_tells_means_and_normals_of_the_living_in_the_order_asked() -> None:
+    gaussians, means, rng = GaussianMap(CELL_M), scattered(20, seed=26), np.random.default_rng(27)
+    normals = rng.normal(size=(20, 3)).astype(np.float32)
+    ids = gaussians.add(means, normals, np.zeros(20, np.float32), np.zeros(3), 0)
+    gaussians.remove(ids[5:8])
+    found_means, found_normals = gaussians.of(np.array([19, 6, 2, 77, 11], np.int64))
+    np.testing.assert_array_equal(found_means, means[[19, 2, 11]])
+    np.testing.assert_array_equal(found_normals, normals[[19, 2, 11]])
+    found_means[...] = 0  # a copy: the map stays
+    np.testing.assert_array_equal(gaussians.of(ids[:2])[0], means[:2])
+
+
+steps = st.lists(st.tuples(st.sampled_from('ars'), st.integers(0, 2**31)), min_size=1, max_size=12)
 
 
 @settings(max_examples=40, deadline=None)
@@ -153,10 +217,9 @@ def test_any_history_leaves_exactly_the_living_where_they_are(
         elif action == 'r':
             gaussians.remove(chosen)
             alive = {k: v for k, v in alive.items() if k not in chosen}
-        elif len(chosen):
-            means = scattered(len(chosen), (k, seed))
-            gaussians.move(chosen, means)
-            alive |= dict(zip(chosen.tolist(), means, strict=True))
+        else:
+            normals = rng.normal(size=(len(chosen), 3)).astype(np.float32)
+            gaussians.reshape(chosen, normals, rng.random(len(chosen)).astype(np.float32))
     assert len(gaussians) == len(alive)
     assert set(gaussians.ids[gaussians.ids >= 0].tolist()) == set(alive)
     if alive:

@@ -28,6 +28,7 @@ class CpuRenderer:
         self._gaussians = _Buffers()
         self._pairs = _Buffers()
         self._images = _Buffers()
+        self._image: NDArray[np.float32] | None = None
 
     def render(self, planes: NDArray[np.float32], view: View) -> Rendering:
         """Render the Gaussians of `planes` (14, N); see `Renderer`."""
@@ -72,6 +73,8 @@ class CpuRenderer:
 
     def backward(self, gradient: NDArray[np.float32]) -> Gradients:
         """Derive by everything, given dL / d planes (5, H, W) of the last rendering."""
+        if self._image is None:
+            raise RenderError('there is no rendering yet to derive')
         if gradient.shape != self._image.shape or gradient.dtype != np.float32:
             raise RenderError(
                 f'gradient is {gradient.dtype} {gradient.shape}, not float32 {self._image.shape}'

@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How much memory mapping takes; each experiment in a process of its own.
+
+`python -m benchmarks.mapping --memory` runs them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dcgs_ros.cli.host import cores, peak_rss_mb
+from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.mapper import Keyframe, Mapper
+from dcgs_ros.core.render import make_renderer
+from dcgs_ros.core.slam import Lockstep
+from dcgs_ros.core.tracker import Tracker
+from dcgs_ros.core.workers import Workers
+from dcgs_ros.datasets.open import open_source
+from dcgs_ros.datasets.prefetch import prefetch
+
+Result = TypeVar('Result')
+
+GAUSSIANS, KEYFRAMES, STEPS = 200_000, 100, 20
+MAX_PEAK_MB = 1500.0
+LONG_RUN = 'synthetic:room?frames=3000'
+SAMPLE_EVERY, SHOW_EVERY = 30, 300  # frames
+
+
+class Sample(NamedTuple):
+    """What a process holds after some frames."""
+
+    frame: int
+    rss_mb: float
+    gaussians: int  # the mapper's
+    tracked: int  # the tracker's
+    views: int
+    images_mb: float
+
+
+def full_map(gaussians: int, keyframes: int, steps: int) -> float:
+    """Peak in MB of a mapper with so many Gaussians, most of them in view of every keyframe."""
+    source = open_source(f'synthetic:room?frames={keyframes}')
+    caps = {'mapping.max_gaussians': gaussians, 'mapping.spawn_stride_px': 64}
+    config = override(Config(sensor=source.sensor), caps)
+    assert source.groundtruth is not None
+    with closing(Workers(cores())) as workers:
+        mapper = Mapper(source.camera, config, make_renderer(workers), workers)
+        for frame, T_world_cam in zip(source, source.groundtruth.T_world_cam, strict=True):
+            assert isinstance(frame, RgbdFrame)
+            first, count = len(mapper.views) * gaussians // keyframes, gaussians // keyframes
+            mapper.insert(_keyframe(frame, T_world_cam, source.camera, first, count))
+        for _ in range(steps):
+            mapper.step(replay=True)
+        print(f'{len(mapper.table)} Gaussians, {len(mapper.views)} keyframes', flush=True)
+    peak = peak_rss_mb()
+    assert peak is not None
+    return peak
+
+
+def _keyframe(
+    frame: RgbdFrame,
+    T_world_cam: NDArray[np.float64],
+    camera: PinholeCamera,
+    first: int,
+    count: int,
+) -> Keyframe:
+    """Spawn `count` Gaussians that face the camera, at any pixels that have depth."""
+    v, u = np.nonzero(frame.depth_m)
+    some = np.sort(np.random.default_rng(first).choice(len(v), count, replace=False))
+    v, u = v[some], u[some]
+    rays = np.insert(camera.undistortion_map[v, u], 2, 1.0, axis=1)
+    R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
+    means = (rays * frame.depth_m[v, u, None]) @ R.T + t
+    normals = -(rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ R.T
+    return Keyframe(
+        frame, T_world_cam, T_colour_depth=np.eye(4), ids=np.arange(first, first + count),
+        means=means.astype(np.float32), normals=normals.astype(np.float32),
+    )  # fmt: skip
+
+
+def long_run(address: str, every: int) -> list[Sample]:
+    """Track and map a sequence in lockstep; a sample after each `every` frames."""
+    source = open_source(address)
+    config = Config(sensor=source.sensor)
+    samples = []
+    with closing(Workers(cores())) as workers, closing(prefetch(source)) as frames:
+        tracker = Tracker(source.camera, config)
+        mapper = Mapper(source.camera, config, make_renderer(workers), workers)
+        mapping = Lockstep(tracker, mapper)
+        for count, frame in enumerate(frames, 1):
+            assert isinstance(frame, RgbdFrame)
+            mapping.after(frame, tracker.track(frame))
+            mapping.advance()
+            if count % every == 0:
+                samples.append(_sample(count, mapper, tracker))
+                _progress(samples[-1])
+    return samples
+
+
+def _sample(count: int, mapper: Mapper, tracker: Tracker) -> Sample:
+    images_mb = 1e-6 * sum(view.bytes for view in mapper.views)
+    tracked = len(tracker.gaussians)
+    return Sample(count, _rss_mb(), len(mapper.table), tracked, len(mapper.views), images_mb)
+
+
+def _progress(sample: Sample) -> None:
+    if sample.frame % SHOW_EVERY == 0:
+        print(
+            f'{sample.frame:6d}  {sample.rss_mb:8.0f}  {sample.gaussians:10d} '
+            f'{sample.tracked:10d}  {sample.views:6d}  {sample.images_mb:9.0f}',
+            flush=True,
+        )
+
+
+def _rss_mb() -> float:
+    """Read what this process holds now, 10^6 bytes."""
+    found = re.search(r'^VmRSS:\s*(\d+) kB$', Path('/proc/self/status').read_text(), re.MULTILINE)
+    assert found is not None
+    return int(found[1]) * 1024e-6
+
+
+def _alone(work: Callable[..., Result], *arguments: Any) -> Result:
+    """Call it in a fresh process."""
+    with ProcessPoolExecutor(1, get_context('spawn')) as process:
+        return process.submit(work, *arguments).result()
+
+
+def plot(path: Path, samples: Sequence[Sample]) -> None:
+    """Draw memory and Gaussians over the frames."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 6.0), dpi=120, layout='constrained')
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    frames, rss_mb, gaussians, tracked, _, images_mb = np.array(samples).T
+    upper.plot(frames, rss_mb, label='whole process (RSS)')
+    upper.plot(frames, images_mb, label="keyframes' images")
+    upper.set(ylabel='MB', title=LONG_RUN)
+    lower.plot(frames, gaussians / 1000, label="mapper's")
+    lower.plot(frames, tracked / 1000, label="of them the tracker's")
+    lower.set(xlabel='frames', ylabel='Gaussians / 1000')
+    for ax in (upper, lower):
+        ax.set_ylim(bottom=0)
+        ax.legend(fontsize=8)
+        ax.grid(alpha=0.25)
+    figure.savefig(path)
+
+
+def show(path: Path | None) -> None:
+    """Run both; draw the long one into `path`."""
+    peak_mb = _alone(full_map, GAUSSIANS, KEYFRAMES, STEPS)
+    print(f'peak after {STEPS} steps: {peak_mb:.0f} MB (at most {MAX_PEAK_MB:.0f})', flush=True)
+    print(f"\n{LONG_RUN}, lockstep\nframes    RSS MB   Gaussians  tracker's   views  images MB")
+    samples = _alone(long_run, LONG_RUN, SAMPLE_EVERY)
+    if path is not None:
+        plot(path, samples)

@@ -22,12 +22,17 @@ QUALITIES: dict[str, dict[str, float]] = {
     },
 }
 
+# The clock leaves fewer steps: fewer views to share them, and more of them coarse.
+ONLINE: dict[str, float] = {'mapping.view_interval': 6, 'mapping.coarse_share': 0.8}
+
 
 def configure(sensor: SensorNoise, arguments: RunArguments) -> Config:
-    """Layer the source's sensor, --quality, the file, --ablation and --set, the last on top."""
+    """Layer sensor, --quality, --online, the file, --ablation and --set, the last on top."""
     if arguments.quality not in QUALITIES:
         raise UsageError(f'--quality {arguments.quality}: one of {", ".join(QUALITIES)}')
     config = override(Config(sensor=sensor), QUALITIES[arguments.quality])
+    if arguments.online:
+        config = override(config, ONLINE)
     if arguments.config is not None:
         config = apply_file(config, arguments.config)
     if arguments.ablation is not None:

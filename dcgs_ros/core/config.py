@@ -127,7 +127,7 @@ class MappingConfig(Stage):
     spawn_flatness: float = ranged(0.15, 1e-3, 1)  # its third sigma against the others
     spawn_opacity: float = ranged(0.7, 0.01, 0.99)
     fill_opacity: float = ranged(0.7, 0.01, 0.99)  # ... where depth is a neighbour's
-    reach_sigmas: float = ranged(0.15, 0, 1e6)  # sigma_z that a measured mean may be moved by
+    reach_sigmas: float = ranged(0.5, 0, 1e6)  # sigma_z that a measured mean may be moved by
     prune_interval: int = ranged(100, 1, 100000)  # steps
     prune_opacity: float = ranged(0.02, 0, 1)
     prune_weight: float = ranged(0.5, 0, 1e6)  # pixels: one that never had more in an image goes

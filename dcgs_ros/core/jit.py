@@ -50,6 +50,8 @@ _separate_cache()
 _MATH = {'contract', 'reassoc', 'nsz', 'arcp'}
 kernel = partial(numba.njit, cache=True, nogil=True, fastmath=_MATH)
 parallel_kernel = partial(kernel, parallel=True)
+# Without Python's check for a division by zero, which keeps loops from being vectorised.
+fast_kernel = partial(kernel, error_model='numpy')
 # Numba puts a kernel's flags on every instruction in it, those of hand-written IR included, which
 # brings its own (`render.simd`).
 strict_kernel = partial(numba.njit, cache=True, nogil=True, error_model='numpy')

@@ -297,7 +297,7 @@ class Mapper:
         """Compress the oldest views beyond the budget, then do without every second of them."""
         budget = 1e6 * self.config.mapping.image_memory_mb
         held = sum(view.bytes for view in self.views)
-        for view in self.views[:-1]:
+        for view in self.views:
             if held <= budget:
                 return
             held -= view.bytes

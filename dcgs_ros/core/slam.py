@@ -11,6 +11,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -62,7 +63,7 @@ class Handover:
         if self._tracker.keyframes == 1 and result.keyframe:
             self._first = frame, result
             return []
-        chosen = [] if self._first is None else [self._first]
+        chosen = self._opening()
         self._since += 1
         if result.keyframe or self._since >= self._interval:
             chosen.append((frame, result))
@@ -72,8 +73,15 @@ class Handover:
 
     def rest(self) -> list[Keyframe]:
         """Make a keyframe of the first frame, where no second one came."""
-        first, self._first = self._first, None
-        return [] if first is None else [self._keyframe(*first)]
+        chosen, self._first = self._opening(), None
+        return [self._keyframe(*pair) for pair in chosen]
+
+    def _opening(self) -> list[tuple[RgbdFrame, TrackResult]]:
+        """Take the first frame, if it still waits, with the motion that is known by now."""
+        if self._first is None:
+            return []
+        frame, result = self._first
+        return [(frame, replace(result, T_colour_depth=self._tracker.opening_motion))]
 
     def _keyframe(self, frame: RgbdFrame, result: TrackResult) -> Keyframe:
         gaussians = self._tracker.gaussians
@@ -153,8 +161,8 @@ class Online:
 
         Threads at equal priority made the tracker twice as slow at its 95th percentile.
         """
-        give_way()
         try:
+            give_way()
             while not self._stop.is_set():
                 if not self._arrived.empty():
                     self._mapper.insert(self._arrived.get())

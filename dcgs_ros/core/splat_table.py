@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .jit import kernel
+from .jit import fast_kernel
 from .losses import Exposure
 from .render.renderer import Gradients
 from .render.simd import LANES
@@ -15,6 +15,7 @@ from .splats import PLANES, SH_C0, Splats
 from .workers import Workers
 
 _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-15
+_STRETCH = 64  # Gaussians handled at a time
 _TABLE = 8192  # visits after which a bias correction is 1 to the last bit
 _NOBODY = np.iinfo(np.int64).min  # id of the columns that only fill up the last group
 _FILLS = {'ids': _NOBODY, 'planes': -100.0, 'reach_m': np.inf}  # transparent, and left alone
@@ -173,44 +174,31 @@ class SplatTable:
         )  # fmt: skip
 
 
-@kernel
+@fast_kernel
 def _adam(
     piece, pieces, planes, first, second, visits, best_weights, gradients, touched, weights, rates,
     unbias_1, unbias_2, anchors, reach_m,
 ):  # fmt: skip
     groups = planes.shape[1] // LANES
-    moved = np.empty(LANES, np.float32)
-    scale_1 = np.empty(LANES, np.float32)
-    scale_2 = np.empty(LANES, np.float32)
-    beta_1, beta_2 = np.float32(_BETA_1), np.float32(_BETA_2)
-    one, epsilon, steepest = np.float32(1.0), np.float32(_EPSILON), np.float32(_STEEPEST)
-    for group in range(piece * groups // pieces, (piece + 1) * groups // pieces):
-        start = group * LANES
-        any_ = False
-        for lane in range(LANES):
-            i = start + lane
-            any_ |= touched[i]
-            moved[lane] = np.float32(touched[i])
+    start_of_piece = piece * groups // pieces * LANES
+    end_of_piece = (piece + 1) * groups // pieces * LANES
+    scale_1, scale_2 = np.empty(_STRETCH, np.float32), np.empty(_STRETCH, np.float32)
+    for start in range(start_of_piece, end_of_piece, _STRETCH):
+        end = min(start + _STRETCH, end_of_piece)
+        if not touched[start:end].any():
+            continue
+        for i in range(start, end):
             if touched[i]:
                 visits[i] += 1
                 best_weights[i] = max(best_weights[i], weights[i])
             visit = min(max(visits[i], 1), _TABLE) - 1
-            scale_1[lane], scale_2[lane] = unbias_1[visit], unbias_2[visit]
-        if not any_:
-            continue
+            scale_1[i - start], scale_2[i - start] = unbias_1[visit], unbias_2[visit]
         for k in range(planes.shape[0]):
-            rate = rates[k]
-            for lane in range(LANES):
-                i, on = start + lane, moved[lane]
-                g = min(max(gradients[k, i], -steepest), steepest)
-                g = g if on > 0 else np.float32(0.0)  # where it may be anything
-                m = first[k, i] + on * (one - beta_1) * (g - first[k, i])
-                v = second[k, i] + on * (one - beta_2) * (g * g - second[k, i])
-                step = rate * scale_1[lane] * m / (np.sqrt(v * scale_2[lane]) + epsilon)
-                first[k, i], second[k, i] = m, v
-                planes[k, i] -= on * step
-        for lane in range(LANES):
-            i = start + lane
+            _move(
+                planes[k, start:end], first[k, start:end], second[k, start:end],
+                gradients[k, start:end], touched[start:end], scale_1, scale_2, rates[k],
+            )  # fmt: skip
+        for i in range(start, end):
             x, y = planes[0, i] - anchors[0, i], planes[1, i] - anchors[1, i]
             z = planes[2, i] - anchors[2, i]
             far = x * x + y * y + z * z
@@ -219,3 +207,19 @@ def _adam(
                 planes[0, i] = anchors[0, i] + share * x
                 planes[1, i] = anchors[1, i] + share * y
                 planes[2, i] = anchors[2, i] + share * z
+
+
+@fast_kernel
+def _move(values, first, second, gradients, touched, scale_1, scale_2, rate):
+    """Move a stretch of one plane: rows that LLVM sees to be apart, so that it vectorises."""
+    steepest, zero = np.float32(_STEEPEST), np.float32(0.0)
+    for x in range(values.shape[0]):
+        g = min(max(gradients[x], -steepest), steepest)
+        g = g if touched[x] else zero  # where it may be anything
+        share_1 = np.float32(1.0 - _BETA_1) if touched[x] else zero
+        share_2 = np.float32(1.0 - _BETA_2) if touched[x] else zero
+        m = first[x] + share_1 * (g - first[x])
+        v = second[x] + share_2 * (g * g - second[x])
+        first[x], second[x] = m, v
+        step = rate * scale_1[x] * m / (np.sqrt(v * scale_2[x]) + np.float32(_EPSILON))
+        values[x] -= step if touched[x] else zero

@@ -84,6 +84,8 @@ class Tracker:
         self.config = config or Config()
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self.keyframes = 0
+        self.opening_motion = np.eye(4)  # T_colour_depth of the first keyframe
+        self._begun = False
         self._T_world_first = np.eye(4) if T_world_first is None else T_world_first
         self._uses_landmarks = self.config.ablation in ('full', 'shared_klt')
         self._policy = KeyframePolicy(self.config.keyframes)
@@ -105,7 +107,7 @@ class Tracker:
         self._check(frame)
         self._stamp_ns = frame.stamp_ns
         grey = _grey(frame.color)
-        if len(self.gaussians) < self.config.registration.min_pairs:
+        if not self._begun:
             return self._first(frame, grey)
         if self._opening is not None:
             self._reopen(self._opening, frame, grey)
@@ -154,7 +156,7 @@ class Tracker:
         """Begin the map, or try again while it holds too little to track against."""
         self._opening, T_world_cam = frame, self._T_world_first
         spawned = self._open(frame, grey, T_world_cam, np.zeros(6))
-        begun = len(spawned) >= self.config.registration.min_pairs
+        begun = self._begun = len(spawned) >= self.config.registration.min_pairs
         return TrackResult(
             frame.stamp_ns, T_world_cam, np.eye(4),
             np.zeros((6, 6)) if begun else _LOST_COVARIANCE,
@@ -169,8 +171,8 @@ class Tracker:
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self._landmarks, self._seen, self.keyframes = Landmarks.none(), None, 0
         self._motion.start(T_world_cam, frame.stamp_ns, twist)
-        T_colour_depth = se3.exp(twist * self._lag_s(frame))
-        seen = _Seen(grey, frame.depth_m, T_colour_depth, T_world_cam)
+        self.opening_motion = se3.exp(twist * self._lag_s(frame))
+        seen = _Seen(grey, frame.depth_m, self.opening_motion, T_world_cam)
         spawned = self._keyframe(frame, seen)
         self._seen = seen
         return spawned

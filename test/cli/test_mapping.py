@@ -171,9 +171,9 @@ def test_without_rendering_there_is_no_second_look_at_the_source(tmp_path: Path)
             (Config().mapping.steps_per_frame, Config().mapping.final_steps),
         ),
         (['--quality', 'draft'], (1, 100)),
-        (['--quality', 'high'], (6, 3000)),
+        (['--quality', 'high'], (4, 6000)),
         (['--quality', 'draft', '--set', 'mapping.final_steps=7'], (1, 7)),
-        (['--quality', 'high', '--config'], (2, 3000)),
+        (['--quality', 'high', '--config'], (2, 6000)),
     ],
 )
 def test_quality_is_the_mappers_steps_below_file_and_settings(

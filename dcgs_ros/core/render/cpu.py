@@ -32,6 +32,7 @@ class CpuRenderer:
 
     def render(self, planes: NDArray[np.float32], view: View) -> Rendering:
         """Render the Gaussians of `planes` (14, N); see `Renderer`."""
+        self._image = None  # until there is one that fits what follows
         if planes.ndim != 2 or len(planes) != len(PLANES) or planes.dtype != np.float32:
             raise RenderError(f'planes are {planes.dtype} {planes.shape}, not float32 (14, N)')
         self._count = planes.shape[1]

@@ -8,7 +8,6 @@ first is `metadata.json` with the version; arrays are `NAME.npy`. Equal contents
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import DcgsError
+from .atomic import replacing
 
 VERSION = 1  # of the archive and of what the package keeps in one
 
@@ -88,9 +88,8 @@ def write_archive(
         members = _members_to_write(arrays, metadata, blobs)
     except ArchiveError as error:
         raise ArchiveError(f'{path}: not written: {error}') from None
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
-        with zipfile.ZipFile(temporary, 'w') as archive:
+        with replacing(path) as temporary, zipfile.ZipFile(temporary, 'w') as archive:
             for name, content in members.items():
                 # ZipInfo's date is 1980 unless told otherwise, and its method to store.
                 with archive.open(zipfile.ZipInfo(name), 'w') as member:
@@ -98,12 +97,8 @@ def write_archive(
                         member.write(content)
                     else:
                         np.lib.format.write_array(member, content, (1, 0), allow_pickle=False)
-        os.replace(temporary, path)
     except OSError as error:
         raise ArchiveError(f'{path}: cannot be written: {error.strerror or error}') from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
 
 
 def read_archive(path: Path | str) -> Archive:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import DcgsError
 from ..core.splats import PLANES, Splats
+from .atomic import replacing
 
 # The reference implementation's order; some readers take properties by position.
 _WRITTEN = (
@@ -59,17 +59,12 @@ def write_ply(path: Path | str, splats: Splats) -> None:
     rows = np.zeros((len(splats), len(_WRITTEN)), '<f4')
     for name, plane in zip(PLANES, splats.planes, strict=True):
         rows[:, _WRITTEN.index(name)] = plane
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
-        with open(temporary, 'wb') as file:
+        with replacing(path) as temporary, open(temporary, 'wb') as file:
             file.write('\n'.join([*header, 'end_header\n']).encode('ascii'))
             file.write(rows.data)
-        os.replace(temporary, path)
     except OSError as error:
         raise PlyError(f'{path}: cannot be written: {error.strerror or error}') from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
 
 
 def read_ply(path: Path | str) -> Splats:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
+from .atomic import replacing
 
 # Four decimals, as TUM prints quaternions, leave the norm right to 1e-4; a hundred times that is
 # no rounding any more but another quantity in these columns.
@@ -95,13 +95,12 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
         for stamp_ns, row in zip(trajectory.stamps_ns, rows, strict=True):
             numbers = ' '.join(f'{value:.9f}' for value in row)
             lines.append(f'{format_stamp_ns(stamp_ns)} {numbers}\n')
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
-        temporary.write_text(''.join(lines), encoding='ascii')
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            temporary.write_text(''.join(lines), encoding='ascii')
     except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise TrajectoryFileError(f'{path}: cannot be written: {error.strerror}') from error
+        reason = error.strerror or error
+        raise TrajectoryFileError(f'{path}: cannot be written: {reason}') from error
 
 
 def _data_lines(path: Path) -> Iterator[tuple[int, str]]:

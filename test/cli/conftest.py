@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))  # `test` itself is no package
 
-from runs import SMALL_CAMERA, SMALL_ROOM, Run, run_into  # type: ignore[import-not-found]
+from running import SMALL_CAMERA, SMALL_ROOM, Run, run_into  # type: ignore[import-not-found]
 
 from dcgs_ros.cli import scoring
 from dcgs_ros.datasets.synthetic import SyntheticSource

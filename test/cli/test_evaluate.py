@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runs import (  # type: ignore[import-not-found]
+from running import (  # type: ignore[import-not-found]
     SMALL_ADDRESS,
     SMALL_FRAMES,
     Run,

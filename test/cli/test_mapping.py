@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from runs import (  # type: ignore[import-not-found]
+from running import (  # type: ignore[import-not-found]
     MAPS,
     SMALL_ADDRESS,
     SMALL_CAMERA,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from runs import SMALL_CAMERA, SMALL_FRAMES, Run  # type: ignore[import-not-found]
+from running import SMALL_CAMERA, SMALL_FRAMES, Run  # type: ignore[import-not-found]
 
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.camera import PinholeCamera

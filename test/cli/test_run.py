@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from runs import TRACKS, Run, run_into  # type: ignore[import-not-found]
+from running import TRACKS, Run, run_into  # type: ignore[import-not-found]
 
 from dcgs_ros import __version__
 from dcgs_ros.cli import run

@@ -115,12 +115,12 @@ class MappingConfig(Stage):
 
     view_interval: int = ranged(4, 1, 1000)  # frames after which one is mapped, keyframe or not
     steps_per_frame: float = ranged(3.0, 0, 1000)  # in lockstep with the tracker
-    final_steps: int = ranged(1500, 0, 1000000)  # after the last frame
+    final_steps: int = ranged(2500, 0, 1000000)  # after the last frame
     newest_share: float = ranged(0.2, 0, 1)  # of the steps: on the view that had the fewest
     coarse_share: float = ranged(0.5, 0, 1)  # of the steps before the last frame: half resolution
     ssim_weight: float = ranged(0.2, 0, 1)
     depth_weight: float = ranged(0.03, 0, 100)  # 1 / m
-    exposure_share: float = ranged(0.7, 0, 1)  # of a view's exposure; the rest is the map's
+    exposure_share: float = ranged(0.6, 0, 1)  # of a view's exposure; the rest is the map's
     spawn_stride_px: int = ranged(6, 1, 64)
     spawn_transmittance: float = ranged(0.3, 0, 1)  # above it the map lacks Gaussians
     spawn_scale: float = ranged(0.6, 0.1, 10)  # sigma of a new Gaussian, in its spacing

@@ -118,9 +118,10 @@ class GaussianMap:
 
         A normal keeps its side: of an axis of Sigma_r either direction is as good.
         """
-        alive, slots = self.alive(ids), self._slots(ids)
-        facing = np.einsum('ij,ij->i', normals[alive], self._normals[slots])
-        self._normals[slots] = np.where(facing[:, None] < 0, -normals[alive], normals[alive])
+        alive = self.alive(ids)
+        slots, normals = self._slot_of_id[ids[alive]], normals[alive]
+        facing = np.einsum('ij,ij->i', normals, self._normals[slots])
+        self._normals[slots] = np.where(facing[:, None] < 0, -normals, normals)
         self._flatness[slots] = flatness[alive]
 
     def alive(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:

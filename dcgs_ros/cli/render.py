@@ -20,13 +20,12 @@ from ..core.render import make_renderer
 from ..core.render.renderer import View
 from ..core.splats import Splats
 from ..core.trajectory import Trajectory
-from ..core.workers import Workers
+from ..core.workers import Workers, cores
 from ..datasets.cameras import PRESETS, parse_intrinsics
 from ..io.map_archive import MapFileError, SavedMap, read_map
 from ..io.ply import PlyError, read_ply
 from ..io.trajectory import read_tum
 from .arguments import RenderArguments, UsageError
-from .host import cores
 from .map_view import corrections
 from .outputs import FolderError, create_folder, refuse_used
 from .pictures import CODECS, ImageFolder, Pictures, Video

@@ -19,13 +19,13 @@ from ..evaluation.contact_sheet import write_contact_sheet
 from ..evaluation.report import Accuracy, RunRecord, assess, build_report, with_rendering
 from ..io.map_archive import SavedMap, write_map
 from ..io.ply import write_ply
+from ..io.saving import saved_map
 from .following import follow, read, refine
 from .host import machine, peak_rss_mb
 from .outputs import write_plot, write_report, write_tracks
 from .pacing import as_they_come, paced
 from .progress import Progress
 from .salvage import Salvage
-from .saving import saved_map
 from .scoring import score_map
 from .slam import Slam
 from .summary import run_summary

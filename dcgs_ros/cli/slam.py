@@ -18,8 +18,7 @@ from ..core.render import make_renderer
 from ..core.slam import Lockstep, Mapping, Online
 from ..core.tracker import Tracker, TrackResult
 from ..core.warmup import warm_up, warm_up_with_mapper
-from ..core.workers import Workers
-from .host import cores
+from ..core.workers import Workers, cores
 
 _SLOW_S = 2.0  # a start that takes longer is explained
 

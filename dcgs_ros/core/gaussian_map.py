@@ -84,20 +84,41 @@ class GaussianMap:
         host: int,
     ) -> NDArray[np.int64]:
         """Spawn Gaussians; returns their ids."""
-        n = len(means)
-        slots = self._claim(n)
-        ids = np.arange(self._next_id, self._next_id + n, dtype=np.int64)
-        self._next_id += n
+        ids = np.arange(self._next_id, self._next_id + len(means), dtype=np.int64)
+        self._next_id += len(means)
+        self._insert(ids, means, normals, flatness, viewpoint, host)
+        return ids
+
+    def restore(
+        self,
+        ids: NDArray[np.int64],  # (N,) unique, >= 0
+        means: NDArray[np.float32],  # (N, 3) metres, world
+        normals: NDArray[np.float32],  # (N, 3) unit, world
+        flatness: NDArray[np.float32],  # (N,)
+        viewpoints: NDArray[np.float32],  # (N, 3) metres, world
+        hosts: NDArray[np.int32],  # (N,)
+        next_id: int,
+    ) -> None:
+        """Fill an empty map with Gaussians of an earlier life; new ids begin at `next_id`."""
+        self._next_id = next_id
+        self._insert(ids, means, normals, flatness, viewpoints, hosts)
+
+    def _insert(
+        self, ids: NDArray, means: NDArray, normals: NDArray, flatness: NDArray,
+        viewpoints: NDArray, hosts: NDArray | int,
+    ) -> None:  # fmt: skip
+        slots = self._claim(len(ids))
+        held = len(self._slot_of_id)
         self._slot_of_id = _grown(self._slot_of_id, self._next_id)
+        self._slot_of_id[held:] = -1
         self._slot_of_id[ids] = slots
         self._means[slots] = means
         self._normals[slots] = normals
-        self._viewpoints[slots] = viewpoint
+        self._viewpoints[slots] = viewpoints
         self._flatness[slots] = flatness
         self._ids[slots] = ids
-        self._hosts[slots] = host
+        self._hosts[slots] = hosts
         self.index.insert(self._means, slots)
-        return ids
 
     def remove(self, ids: NDArray[np.int64]) -> None:
         """Take Gaussians out; unknown ids and those gone already are passed over."""

@@ -24,7 +24,7 @@ class KeyframePolicy:
 
     def __init__(self, config: KeyframeConfig) -> None:
         """Wait for the first keyframe."""
-        self._config = config
+        self.config = config
         self._T_world_cam = np.eye(4)
         self._stamp_ns = 0
         self._overlap = 0.0
@@ -51,7 +51,7 @@ class KeyframePolicy:
         The overlap is held against the best one since the last keyframe, not against 1: what a
         noisy sensor never explains, even just after a keyframe, is not news.
         """
-        c = self._config
+        c = self.config
         self._overlap = max(self._overlap, overlap)
         seen = overlap / (c.overlap * max(self._overlap, 1e-9))
         few = self._landmarks < c.min_landmarks  # the scene has none to offer: no use in asking

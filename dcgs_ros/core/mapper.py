@@ -126,7 +126,7 @@ class Mapper:
     ) -> None:
         """Add the tracker's Gaussians, and own ones where the map lacks any even so."""
         config = self.config.mapping
-        keyframe = self._finite(keyframe)
+        keyframe = self._news(keyframe)
         camera = View.of(self.camera, view.T_world_cam)
         moved = view.T_world_cam @ se3.inverse(keyframe.T_world_cam)
         measured = Surface(
@@ -154,12 +154,16 @@ class Mapper:
         ids = np.concatenate([keyframe.ids, ids])[room]
         self.table.append(Splats(planes), ids, view.index, tracked, reach_m)
 
-    def _finite(self, keyframe: Keyframe) -> Keyframe:
-        """Leave out and count the spawned Gaussians that are not finite."""
+    def _news(self, keyframe: Keyframe) -> Keyframe:
+        """Leave out the Gaussians that are here already, and, counted, those that are not finite.
+
+        A keyframe that is offered again may bring some along that came with another.
+        """
         numbers = np.concatenate([keyframe.means, keyframe.normals], axis=1)
-        keep = np.isfinite(numbers).all(axis=1)
-        self.poisoned += int(np.count_nonzero(~keep))
-        self._removed.append(keyframe.ids[~keep])
+        finite = np.isfinite(numbers).all(axis=1)
+        self.poisoned += int(np.count_nonzero(~finite))
+        self._removed.append(keyframe.ids[~finite])
+        keep = finite & ~np.isin(keyframe.ids, self.table.ids)
         return replace(
             keyframe, ids=keyframe.ids[keep], means=keyframe.means[keep],
             normals=keyframe.normals[keep],
@@ -314,9 +318,10 @@ class Mapper:
 
     def corrections(self) -> Corrections:
         """Give what was refined of the views, to be carried over to the frames between."""
+        views = sorted(self.views, key=lambda view: view.stamp_ns)  # some may have come late
         return Corrections(
-            np.array([view.stamp_ns for view in self.views], np.int64),
-            np.array([view.T_tracked for view in self.views]),
-            np.array([view.T_world_cam for view in self.views]),
-            [view.exposure for view in self.views],
+            np.array([view.stamp_ns for view in views], np.int64),
+            np.array([view.T_tracked for view in views]),
+            np.array([view.T_world_cam for view in views]),
+            [view.exposure for view in views],
         )

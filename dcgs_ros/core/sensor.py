@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,10 @@ class SensorError(DcgsError):
     """Noise parameters outside their range."""
 
 
+def _described(default: float, doc: str) -> Any:
+    return field(default=default, metadata={'doc': doc})  # as core.config has it, which needs us
+
+
 @dataclass(frozen=True)
 class SensorNoise:
     """Axial noise sigma_z(z) = A + B z^2 (paper, tracking covariance) and the usable range.
@@ -24,10 +29,14 @@ class SensorNoise:
     at most 1 / cos^2 of the field-of-view's half angle in the image corners.
     """
 
-    a_m: float = 0.0012  # A: floor of the axial standard deviation, metres
-    b_per_m: float = 0.0014  # B: its quadratic growth, 1 / metre
-    depth_min_m: float = 0.3  # nearer measurements are not used, metres
-    depth_max_m: float = 5.0  # farther measurements are not used, metres
+    a_m: float = _described(
+        0.0012, 'A of the depth noise A + B z^2: standard deviation at no distance, metres.'
+    )
+    b_per_m: float = _described(
+        0.0014, 'B of the depth noise A + B z^2: its growth with the squared distance, 1/metre.'
+    )
+    depth_min_m: float = _described(0.3, 'Nearer depth is not used, metres.')
+    depth_max_m: float = _described(5.0, 'Farther depth is not used, metres.')
 
     def __post_init__(self) -> None:
         """Check the ranges."""

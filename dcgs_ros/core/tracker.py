@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import cv2
@@ -24,6 +25,7 @@ from .motion import ColourDepthOffset, ConstantVelocity
 from .observability import Observability, observability, pose_covariance
 from .pairs import Pairs, PosePrior
 from .registration import DepthTerm, Registration, register, start_from_landmarks
+from .search import PoseSearch
 
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
@@ -94,6 +96,8 @@ class Tracker:
         self._landmarks = Landmarks.none()
         self._seen: _Seen | None = None
         self._opening: RgbdFrame | None = None  # first frame, until the second tells its velocity
+        self._search: PoseSearch | None = None  # while it is not known where the camera is
+        self._visited: list[NDArray[np.float64]] = []  # poses of the keyframes
         self._stamp_ns: int | None = None  # of the last frame, lost or not
         self._overlap = 0.0  # of the last frame
         self.threads = jit.set_threads(self.config.threads)
@@ -109,6 +113,8 @@ class Tracker:
         grey = _grey(frame.color)
         if not self._begun:
             return self._first(frame, grey)
+        if self._search is not None:
+            return self._look(frame, grey, self._search)
         if self._opening is not None:
             self._reopen(self._opening, frame, grey)
         landmarks = self._landmarks
@@ -127,6 +133,42 @@ class Tracker:
         spawned = self._keyframe(frame, seen) if keyframe else np.empty(0, np.int64)
         self._seen = seen
         return self._result(frame, seen, result, keyframe, spawned)
+
+    def resume(self, gaussians: GaussianMap, poses: Sequence[NDArray[np.float64]]) -> None:
+        """Go on in a map whose keyframes were at `poses` (4, 4), the last one the likeliest.
+
+        Frames are lost until one fits the map near one of them.
+        """
+        self.gaussians, self.keyframes = gaussians, len(poses)
+        self._visited = list(poses)
+        self._begun = True
+        self._motion.start(poses[-1], 0, np.zeros(6))
+        self.interrupt()
+
+    def interrupt(self) -> None:
+        """Forget what holds from frame to frame: stamps may start anew, the camera be elsewhere.
+
+        It is looked for where it was last and at the keyframes.
+        """
+        self._opening, self._seen, self._stamp_ns = None, None, None
+        self._landmarks, self._overlap = Landmarks.none(), 0.0
+        self._search = PoseSearch(self._motion.T_world_cam, self._visited) if self._begun else None
+
+    def reconfigure(self, config: Config) -> None:
+        """Go on with other settings; sensor, ablation, threads and timing stay as they were."""
+        kept = {name: getattr(self.config, name) for name in ('sensor', 'ablation', 'threads')}
+        self.config = replace(config, timing=self.config.timing, **kept)
+        self._policy.config = config.keyframes
+
+    @property
+    def T_world_cam(self) -> NDArray[np.float64]:
+        """(4, 4) last good pose."""
+        return self._motion.T_world_cam
+
+    @property
+    def searching(self) -> bool:
+        """Tell whether the camera's place in the map is still looked for."""
+        return self._search is not None
 
     @property
     def landmarks(self) -> Landmarks:
@@ -170,6 +212,7 @@ class Tracker:
         """Start the map from one frame, of a camera that moves with `twist`."""
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self._landmarks, self._seen, self.keyframes = Landmarks.none(), None, 0
+        self._visited.clear()
         self._motion.start(T_world_cam, frame.stamp_ns, twist)
         self.opening_motion = se3.exp(twist * self._lag_s(frame))
         seen = _Seen(grey, frame.depth_m, self.opening_motion, T_world_cam)
@@ -193,6 +236,20 @@ class Tracker:
         elif self._seen is not None:
             motion = self._motion.arriving(result.T_world_cam, second.stamp_ns)
             self._open(first, self._seen.grey, self._motion.T_world_cam, motion.twist)
+
+    def _look(self, frame: RgbdFrame, grey: NDArray, search: PoseSearch) -> TrackResult:
+        """Try a few of the places where the camera may be; go on from one that explains enough."""
+        cloud = self._sample(frame, self.config.cloud.stride_px)
+        depth = DepthTerm(cloud, self.gaussians, self.camera.focal, self.config, None)
+        result = search.best(depth, self.config)
+        if not (self._trusted(result) and search.found(result)):
+            return self._lost(frame, result)
+        self._search, T = None, result.T_world_cam
+        self._motion.start(T, frame.stamp_ns, np.zeros(6))
+        self._seen = _Seen(grey, frame.depth_m, np.eye(4), T)
+        self._anchor(frame, self._seen)
+        self._overlap = result.overlap
+        return self._result(frame, self._seen, result, False, np.empty(0, np.int64))
 
     def _register(self, frame: RgbdFrame, grey: NDArray) -> Registration:
         """Predict, follow the landmarks, start from them, and solve for the pose jointly.
@@ -295,16 +352,21 @@ class Tracker:
             cloud.moved(seen.T_colour_depth), T, self.gaussians, self.keyframes,
             self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
         )  # fmt: skip
+        self._anchor(frame, seen)
+        self.keyframes += 1
+        self._visited.append(T)
+        return spawned
+
+    def _anchor(self, frame: RgbdFrame, seen: _Seen) -> None:
+        """Anchor new landmarks in the map; the next keyframe is due when this view is left."""
         if self._uses_landmarks:
             new = detect(
-                seen.grey, frame.depth_m, self._landmarks, T, seen.T_colour_depth,
-                self.gaussians, self.camera, config.sensor, config.landmarks,
-                config.registration.anchor_px,
+                seen.grey, frame.depth_m, self._landmarks, seen.T_world_cam, seen.T_colour_depth,
+                self.gaussians, self.camera, self.config.sensor, self.config.landmarks,
+                self.config.registration.anchor_px,
             )  # fmt: skip
             self._landmarks = self._landmarks.joined(new)
-        self._policy.took(T, frame.stamp_ns, len(self._landmarks))
-        self.keyframes += 1
-        return spawned
+        self._policy.took(seen.T_world_cam, frame.stamp_ns, len(self._landmarks))
 
     def _result(
         self, frame: RgbdFrame, seen: _Seen, result: Registration, keyframe: bool, spawned: NDArray

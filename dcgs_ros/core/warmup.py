@@ -44,6 +44,10 @@ _A_BIT_OF_ALL = {
 }
 
 
+# Kernels are compiled for types, not for sizes: a node need not wait for its camera.
+ANY_CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5, (0.01, 0.0, 0.0, 0.0, 0.0))
+
+
 def warm_up(camera: PinholeCamera, config: Config) -> None:
     """Track a few frames of a textured, slanted plane as `config` says, all of them keyframes.
 

@@ -125,7 +125,7 @@ def test_another_shape_is_each_ones_own_and_moves_nobody() -> None:
     normals = rng.normal(size=(40, 3)).astype(np.float32)
     normals[:, 2] = -np.abs(normals[:, 2])  # on the side they were
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    between = normals + (0, 0, -1)
+    between = normals + np.array([0, 0, -1])
     between /= np.linalg.norm(between, axis=1, keepdims=True)
     gaussians.reshape(chosen, normals, flatness)
     slots = gaussians.index.nearest(gaussians.means, means[chosen], 1e-4)

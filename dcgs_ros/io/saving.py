@@ -11,17 +11,26 @@ from ..core.keyframe_view import KeyframeView
 from ..core.mapper import Mapper
 from ..core.splats import Splats
 from ..core.tracker import Tracker
-from ..io.map_archive import SavedKeyframe, SavedMap
+from .map_archive import SavedKeyframe, SavedMap
 
 _ROWS, _COLUMNS = np.triu_indices(3)  # xx xy xz yy yz zz
 
 
-def saved_map(mapper: Mapper, tracker: Tracker) -> SavedMap:
-    """Take the map as it is, after a last pruning: nothing that is not finite is in it."""
+def saved_map(mapper: Mapper, tracker: Tracker | None) -> SavedMap:
+    """Take the map as it is, after a last pruning: nothing that is not finite is in it.
+
+    Where the tracker is another process, Sigma_t is what the hosts saw, and there are no
+    landmarks.
+    """
     mapper.prune()
     table = mapper.table
-    viewpoints, covariances = _as_tracked(table.ids, tracker)
-    landmarks = tracker.landmarks.targets
+    if tracker is None:
+        viewpoints, covariances = as_hosts_saw(mapper)
+        landmarks, landmark_covariances = np.empty((0, 3)), np.empty((0, 3, 3))
+    else:
+        viewpoints, covariances = _as_tracked(table.ids, tracker)
+        landmarks = tracker.landmarks.targets.points.astype(np.float64)
+        landmark_covariances = tracker.landmarks.targets.covariances
     return SavedMap(
         camera=mapper.camera,
         config=mapper.config,
@@ -30,10 +39,30 @@ def saved_map(mapper: Mapper, tracker: Tracker) -> SavedMap:
         hosts=table.hosts.copy(),
         viewpoints=viewpoints,
         track_covariances=covariances,
-        landmarks=landmarks.points.astype(np.float64),
-        landmark_covariances=landmarks.covariances,
+        landmarks=landmarks,
+        landmark_covariances=landmark_covariances,
         keyframes=tuple(_saved_keyframe(view) for view in mapper.views),
     )
+
+
+def as_hosts_saw(mapper: Mapper) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Viewpoints (N, 3) and Sigma_t (N, 6) of the keyframes that Gaussians came with.
+
+    NaN of the mapper's own, which nobody measured.
+    """
+    table, config = mapper.table, mapper.config
+    rows = np.flatnonzero(table.ids >= 0)
+    centres = np.array([view.T_tracked[:3, 3] for view in mapper.views]).reshape(-1, 3)
+    viewpoints = np.full((len(table), 3), np.nan, np.float32)
+    covariances = np.full((len(table), 6), np.nan, np.float32)
+    viewpoints[rows] = centres[table.hosts[rows]]
+    rays = table.measured[:, rows].T - centres[table.hosts[rows]]
+    ranges = np.linalg.norm(rays, axis=1)
+    Sigma_t = config.sensor.covariance(
+        rays / ranges[:, None], ranges, config.registration.anchor_px, mapper.camera.focal
+    )
+    covariances[rows] = Sigma_t[:, _ROWS, _COLUMNS]
+    return viewpoints, covariances
 
 
 def _as_tracked(

@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""ROS's Image and CameraInfo as arrays, whoever decoded them: rclpy or a reader of bags.
+
+Only attributes are read, so nothing of ROS is needed. Every size is checked against the data at
+hand before anything is allocated.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.camera import PinholeCamera
+from ..core.errors import DcgsError
+
+_MAX_SIDE = 16384  # pixels: beyond, a header is broken rather than an image large
+_MAX_COEFFICIENTS = 8  # rational_polynomial's
+
+_COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'mono8': 1}
+_DEPTH_TYPES = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
+_LENS_MODELS = ('', 'plumb_bob', 'rational_polynomial')
+_MM_PER_M = np.float32(1000.0)
+
+
+class MessageError(DcgsError):
+    """A message that cannot be used."""
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Time of a header in integer nanoseconds."""
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def read_color(image: Any) -> NDArray[np.uint8]:
+    """Colour of an Image in rgb8, bgr8 or mono8: (H, W, 3) RGB or (H, W) grey, C-contiguous.
+
+    Without conversion or padding it is a view of the message's data. Raises `MessageError`.
+    """
+    channels = _COLOR_CHANNELS.get(image.encoding)
+    if channels is None:
+        raise _unknown('colour', image.encoding, _COLOR_CHANNELS)
+    pixels = _pixels(image, np.dtype(np.uint8), channels)
+    if image.encoding == 'bgr8':
+        return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    return np.ascontiguousarray(pixels)
+
+
+def read_depth(image: Any) -> NDArray[np.float32]:
+    """Depth (H, W) in metres of an Image in 16UC1 or mono16 (mm) or 32FC1 (m); 0 = none.
+
+    What is not finite or negative is none, too. Raises `MessageError`.
+    """
+    kind = _DEPTH_TYPES.get(image.encoding)
+    if kind is None:
+        raise _unknown('depth', image.encoding, _DEPTH_TYPES)
+    raw = _pixels(image, np.dtype(('>' if image.is_bigendian else '<') + kind), 1)
+    if kind == 'u2':
+        return raw.astype(np.float32) / _MM_PER_M
+    depth_m = raw.astype(np.float32)
+    depth_m[~((depth_m > 0) & (depth_m < np.inf))] = 0.0
+    return depth_m
+
+
+def read_camera(info: Any) -> PinholeCamera:
+    """Intrinsics and distortion of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
+
+    Raises `MessageError` for another lens model, skew or an absurd size, and `CameraError` for
+    numbers that are no camera.
+    """
+    model = info.distortion_model
+    if model not in _LENS_MODELS:
+        raise MessageError(
+            f'distortion model {model!r} is not supported; these are: '
+            f'{", ".join(name or "(none)" for name in _LENS_MODELS)}'
+        )
+    width, height = _size(info)
+    matrix = info.k if hasattr(info, 'k') else info.K
+    distortion = info.d if hasattr(info, 'd') else info.D
+    fx, skew, cx, _, fy, cy = (float(value) for value in matrix[:6])
+    if skew != 0:
+        raise MessageError(f'camera matrix has a skew of {skew:.6g} pixels, not 0')
+    if len(distortion) > _MAX_COEFFICIENTS:
+        raise MessageError(
+            f'distortion has {len(distortion)} numbers, at most {_MAX_COEFFICIENTS} are supported'
+        )
+    coefficients = tuple(float(value) for value in distortion)
+    if not any(coefficients):
+        coefficients = ()
+    return PinholeCamera(width, height, fx, fy, cx, cy, coefficients)
+
+
+def _unknown(what: str, encoding: object, known: dict[str, Any]) -> MessageError:
+    """Say which encodings there are."""
+    return MessageError(f'{what} is {str(encoding)[:40]!r}, not one of {", ".join(known)}')
+
+
+def _size(message: Any) -> tuple[int, int]:
+    """Width and height, where they can be those of an image."""
+    width, height = int(message.width), int(message.height)
+    if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
+        raise MessageError(f'image of {width}x{height} pixels; a side has 1 to {_MAX_SIDE}')
+    return width, height
+
+
+def _pixels(image: Any, kind: np.dtype, channels: int) -> NDArray:
+    """View an Image's data as (H, W) or (H, W, channels); rows may be padded."""
+    width, height = _size(image)
+    step, row = int(image.step), width * channels * kind.itemsize
+    if step < row:
+        raise MessageError(
+            f'{width} pixels of {image.encoding} are {row} bytes, but a row has {step}'
+        )
+    if len(image.data) < step * height:
+        raise MessageError(
+            f'{height} rows of {step} bytes are {step * height}, but there are {len(image.data)}'
+        )
+    shape: tuple[int, ...] = (height, width)
+    strides: tuple[int, ...] = (step, channels * kind.itemsize)
+    if channels > 1:
+        shape, strides = (*shape, channels), (*strides, kind.itemsize)
+    return np.ndarray(shape, kind, np.frombuffer(image.data, np.uint8), 0, strides)

@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where the camera is on the base."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core import se3
+from ..core.config import ConfigError
+from .settings import TrackerNodeSettings
+from .transforms import Transforms
+
+# REP 103: the optical frame has z forward and x right, the base x forward and z up.
+_OPTICAL_WXYZ = np.array([0.5, -0.5, 0.5, -0.5])
+_UNIT = 1e-3  # how far a quaternion's length may be from 1
+
+
+def base_to_camera(
+    settings: TrackerNodeSettings, transforms: Transforms, camera_frame: str
+) -> NDArray[np.float64]:
+    """T_base_cam (4, 4), optical frame: from the setting, else from TF, else looking forward."""
+    if settings.base_to_camera != 'auto':
+        return _parsed(settings.base_to_camera)
+    if settings.base_frame == camera_frame:
+        return np.eye(4)
+    known = transforms.lookup(settings.base_frame, camera_frame)
+    return se3.from_quaternion(_OPTICAL_WXYZ, np.zeros(3)) if known is None else known
+
+
+def _parsed(text: str) -> NDArray[np.float64]:
+    try:
+        numbers = np.array([float(word) for word in text.replace(',', ' ').split()])
+    except ValueError:
+        numbers = np.empty(0)
+    length = np.linalg.norm(numbers[3:])
+    if len(numbers) != 7 or not np.isfinite(numbers).all() or abs(length - 1) > _UNIT:
+        raise ConfigError(
+            f"node.base_to_camera is {text!r}, not 'auto' or 'x y z qx qy qz qw' with a unit "
+            'quaternion'
+        )
+    x, y, z, w = numbers[3:] / length
+    return se3.from_quaternion(np.array([w, x, y, z]), numbers[:3])

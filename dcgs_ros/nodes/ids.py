@@ -1,0 +1,25 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Ids of Gaussians between the nodes: those of two maps are never the same.
+
+A map has a number, its epoch, from 1 below 2^20. The tracker's Gaussian k has the id
+epoch * 2^32 + k, which a FLOAT64 field holds exactly; ids below 0 are the mapper's own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+EPOCH = 1 << 32
+
+
+def joined_ids(epoch: int, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Ids (N,) between the nodes of a tracker's."""
+    return ids + epoch * EPOCH
+
+
+def split_ids(ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Epochs (N,), 0 for the mapper's own, and the tracker's ids (N,)."""
+    epochs = np.where(ids < 0, 0, ids // EPOCH)
+    return epochs, ids - epochs * EPOCH

@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Arrays as Image; the way back is `io.ros_images`."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from ...io.ros_images import MessageError
+
+_MAX_M = np.float32(65.535)  # what 16 bits of millimetres hold
+
+
+def array_of(values: NDArray | bytes | bytearray | memoryview) -> array.array[int]:
+    """Bytes of an array in C order, in the one type a message takes without a look at each."""
+    if isinstance(values, np.ndarray):
+        values = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
+    out = array.array('B')
+    out.frombytes(values)
+    return out
+
+
+def write_color(color: NDArray[np.uint8], header: Header) -> Image:
+    """Colour (H, W, 3) RGB as rgb8, (H, W) grey as mono8; raises `MessageError` for another."""
+    if color.dtype != np.uint8 or color.ndim not in (2, 3) or color.shape[2:] not in ((), (3,)):
+        raise MessageError(f'colour is {color.dtype} {color.shape}, not uint8 (H, W, 3) or (H, W)')
+    return _image(color, 'mono8' if color.ndim == 2 else 'rgb8', header)
+
+
+def write_depth_mm(depth_m: NDArray[np.float32], header: Header) -> Image:
+    """Depth (H, W) in metres as 16UC1, rounded to millimetres; beyond 65.535 m it is none: 0."""
+    usable = (depth_m > 0) & (depth_m <= _MAX_M)
+    millimetres = np.rint(np.where(usable, depth_m, 0) * np.float32(1000.0))
+    return _image(millimetres.astype('<u2'), '16UC1', header)
+
+
+def write_depth(depth_m: NDArray[np.float32], header: Header) -> Image:
+    """Depth (H, W) in metres as 32FC1, where none is NaN (REP 118)."""
+    return _image(np.where(depth_m > 0, depth_m, np.nan).astype('<f4'), '32FC1', header)
+
+
+def _image(pixels: NDArray, encoding: str, header: Header) -> Image:
+    """Fill in the geometry."""
+    height, width = pixels.shape[:2]
+    message = Image(header=header, height=height, width=width, encoding=encoding)
+    message.step = pixels.nbytes // height
+    message.data = array_of(pixels)
+    return message

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What can be replayed, as messages of a camera: frames that are converted, bags that are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from ..core.frame import RgbdFrame
+from ..datasets.bag_messages import (
+    RawMessage,
+    camera_topics,
+    is_bag,
+    raw_messages,
+    read_header,
+    with_stamp,
+)
+from ..datasets.open import open_source
+from ..datasets.source import BadFrame, Source, SourceError
+from .messages.camera_info import write_camera
+from .messages.headers import header
+from .messages.images import write_color, write_depth, write_depth_mm
+
+Output = Literal['camera_info', 'color', 'depth']
+
+_MAX_MM = 65535
+
+
+class Reel(Protocol):
+    """A recording to be replayed."""
+
+    camera_frame: str
+
+    def items(self) -> Iterator[tuple[int, Any]]:
+        """Read the recording anew: what is due when, in ns of its own clock."""
+        ...
+
+    def messages(self, item: Any, shift_ns: int) -> list[tuple[Output, Any]]:
+        """Messages of an item, in the order they are to be published, their stamps shifted."""
+        ...
+
+
+class FrameReel:
+    """Frames of a source; each is due when the later one of its stamps is."""
+
+    def __init__(self, source: Source, camera_frame: str, say: Callable[[str], None]) -> None:
+        """`say` is told of frames that cannot be read."""
+        self._source = source
+        self.camera_frame = camera_frame
+        self._say = say
+
+    def items(self) -> Iterator[tuple[int, RgbdFrame]]:
+        """Read the frames, without the bad ones."""
+        for frame in self._source:
+            if isinstance(frame, BadFrame):
+                self._say(f'{frame.name}: {frame.reason}')
+            else:
+                yield max(frame.stamp_ns, frame.depth_stamp_ns), frame
+
+    def messages(self, item: RgbdFrame, shift_ns: int) -> list[tuple[Output, Any]]:
+        """Convert a frame."""
+        color = header(item.stamp_ns + shift_ns, self.camera_frame)
+        depth = header(item.depth_stamp_ns + shift_ns, self.camera_frame)
+        return [
+            ('camera_info', write_camera(self._source.camera, color)),
+            ('color', write_color(item.color, color)),
+            ('depth', _exact_depth(item.depth_m, depth)),
+        ]
+
+
+class BagReel:
+    """Messages of a bag as they were recorded, each due when it was recorded."""
+
+    def __init__(self, path: str, camera_frame: str) -> None:
+        """Find the topics; `camera_frame` is only for a bag whose images name none."""
+        self._path = path
+        topics = camera_topics(path)
+        if topics.camera_info is None:
+            raise SourceError(f'{path}: no CameraInfo beside {topics.color}; give camera')
+        self._outputs: dict[str, Output] = {
+            topics.camera_info: 'camera_info',
+            topics.color: 'color',
+            topics.depth: 'depth',
+        }
+        first = next(raw_messages(path, [topics.color]))
+        self.camera_frame = read_header(first.cdr)[1] or camera_frame
+
+    def items(self) -> Iterator[tuple[int, RawMessage]]:
+        """Read the messages."""
+        for message in raw_messages(self._path, self._outputs):
+            yield message.stamp_ns, message
+
+    def messages(self, item: RawMessage, shift_ns: int) -> list[tuple[Output, Any]]:
+        """Hand the bytes over."""
+        cdr = item.cdr
+        if shift_ns:
+            cdr = with_stamp(cdr, read_header(cdr)[0] + shift_ns)
+        return [(self._outputs[item.topic], cdr)]
+
+
+def make_reel(
+    source: str, camera: str | None, camera_frame: str, say: Callable[[str], None]
+) -> Reel:
+    """Open what a user names; a bag for which a camera is given is converted.
+
+    Raises a `DcgsError` that says why not.
+    """
+    if camera is None and is_bag(Path(source)):
+        return BagReel(source, camera_frame)
+    return FrameReel(open_source(source, camera), camera_frame, say)
+
+
+def _exact_depth(depth_m: NDArray[np.float32], header: Header) -> Image:
+    """16UC1 as cameras send it where millimetres tell all, else 32FC1."""
+    millimetres = np.rint(depth_m * np.float32(1000))
+    exact = np.array_equal(millimetres / np.float32(1000), depth_m)
+    if exact and millimetres.max() <= _MAX_MM:
+        return write_depth_mm(depth_m, header)
+    return write_depth(depth_m, header)

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The replay node: a recording as the topics of a camera, at the pace it was recorded.
+
+One thread reads and converts ahead, one publishes; the executor serves parameters.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+
+from ..core import se3
+from ..datasets.prefetch import prefetch
+from .lifetime import Worker, run
+from .messages.headers import header, time_message
+from .messages.poses import transform_stamped
+from .parameters import Parameters
+from .playback import Cue, Pace, schedule
+from .reels import Output, make_reel
+from .settings import ReplaySettings
+from .transforms import make_transforms
+from .transport import RELIABLE, sensor_qos
+
+_TOPICS: dict[Output, tuple[type, str]] = {
+    'camera_info': (CameraInfo, '/camera/camera/color/camera_info'),
+    'color': (Image, '/camera/camera/color/image_raw'),
+    'depth': (Image, '/camera/camera/aligned_depth_to_color/image_raw'),
+}
+# REP 103: the optical frame has z forward and x right, the base x forward and z up.
+_T_BASE_CAM = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
+_POLL_S = 0.05
+_ACKNOWLEDGED = Duration(seconds=2)
+
+
+class ReplayNode(Node):
+    """A camera that is a recording."""
+
+    def __init__(self) -> None:
+        """Open the recording, and start to play it."""
+        super().__init__('dcgs_replay')
+        self._settings = Parameters(
+            self, ReplaySettings(), live=lambda _: False, on_change=lambda _: None
+        ).settings
+        s = self._settings
+        camera = None if s.camera == 'auto' else s.camera
+        self._reel = make_reel(s.source, camera, s.color_frame, self._warn)
+        qos = sensor_qos(s.reliability)
+        self._outputs: dict[Output, Publisher] = {
+            output: self.create_publisher(type_, topic, qos)
+            for output, (type_, topic) in _TOPICS.items()
+        }
+        self._clock_output = self.create_publisher(Clock, '/clock', RELIABLE)
+        fixed = transform_stamped(_T_BASE_CAM, header(0, s.base_frame), self._reel.camera_frame)
+        make_transforms(self).send_static(fixed)
+        self._stop = threading.Event()
+        self._worker = Worker(self, self._work, 'replay')
+
+    def _work(self) -> None:
+        """Play, and end the process."""
+        if self._await_subscribers():
+            self._play()
+        self.context.try_shutdown()
+
+    def _await_subscribers(self) -> bool:
+        """Wait for as many as were asked for; return whether they came before the end."""
+        wanted = self._settings.wait_for_subscribers
+        while any(out.get_subscription_count() < wanted for out in self._outputs.values()):
+            if self._stop.wait(_POLL_S):
+                return False
+        return True
+
+    def _play(self) -> None:
+        """Publish everything when it is due."""
+        s = self._settings
+        self.get_logger().info(f'playing {s.source}')
+        start_s, count = time.monotonic(), 0
+        pace = Pace(s.rate, self._tell_time, self._stop)
+        with closing(prefetch(self._converted())) as ready:
+            for cue, messages in ready:
+                if not pace.wait(cue):
+                    return
+                for output, message in messages:
+                    self._outputs[output].publish(message)
+                    count += output == 'color'
+                if not s.rate:
+                    self._settle()
+        self._settle()
+        self.get_logger().info(f'{count} frames in {time.monotonic() - start_s:.1f} s')
+
+    def _converted(self) -> Iterator[tuple[Cue[Any], list[tuple[Output, Any]]]]:
+        """Messages of the whole playback."""
+        s = self._settings
+        cues = schedule(self._reel.items, s.start_s, s.duration_s, s.loop, s.continuous_stamps)
+        for cue in cues:
+            yield cue, self._reel.messages(cue.item, cue.shift_ns)
+
+    def _settle(self) -> None:
+        """Wait until all subscribers have what was published."""
+        for output in self._outputs.values():
+            output.wait_for_all_acked(_ACKNOWLEDGED)
+
+    def _tell_time(self, clock_ns: int) -> None:
+        if self._settings.clock:
+            self._clock_output.publish(Clock(clock=time_message(clock_ns)))
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text)
+
+    def close(self) -> None:
+        """End the playback."""
+        self._stop.set()
+        self._worker.join()
+
+
+def main() -> int:
+    """Replay until the end, or until told to stop."""
+    return run(ReplayNode)

@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""TF, where there is one: tf2_ros comes with a ROS installation, not with the PyPI wheels."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.time import Time
+
+from ..core import se3
+
+
+class Transforms(Protocol):
+    """What the nodes need of TF."""
+
+    def send(self, transform: TransformStamped) -> None:
+        """Broadcast a transform that holds at its stamp."""
+        ...
+
+    def send_static(self, transform: TransformStamped) -> None:
+        """Broadcast a transform that always holds."""
+        ...
+
+    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+        """Latest T_parent_child (4, 4), metres; None where TF does not know it."""
+        ...
+
+
+class NoTransforms:
+    """Stands in where there is no tf2_ros."""
+
+    def __init__(self, node: Node) -> None:
+        """Say so, once."""
+        node.get_logger().warning('tf2_ros is not installed: TF is neither broadcast nor read')
+
+    def send(self, transform: TransformStamped) -> None:
+        """Do nothing."""
+
+    def send_static(self, transform: TransformStamped) -> None:
+        """Do nothing."""
+
+    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+        """Know nothing."""
+        return None
+
+
+class Tf2Transforms:
+    """TF by tf2_ros."""
+
+    def __init__(self, node: Node) -> None:
+        """Listen and broadcast as `node`; raises `ImportError` without tf2_ros."""
+        import tf2_ros
+
+        self._unknown = tf2_ros.TransformException
+        self._broadcaster = tf2_ros.TransformBroadcaster(node)
+        self._static_broadcaster = tf2_ros.StaticTransformBroadcaster(node)
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
+
+    def send(self, transform: TransformStamped) -> None:
+        """Broadcast on /tf."""
+        self._broadcaster.sendTransform(transform)
+
+    def send_static(self, transform: TransformStamped) -> None:
+        """Broadcast on /tf_static, to those who come late too."""
+        self._static_broadcaster.sendTransform(transform)
+
+    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+        """Look the latest transform up, without waiting."""
+        try:
+            found = self._buffer.lookup_transform(parent, child, Time())
+        except self._unknown:
+            return None
+        t, q = found.transform.translation, found.transform.rotation
+        return se3.from_quaternion(np.array([q.w, q.x, q.y, q.z]), np.array([t.x, t.y, t.z]))
+
+
+def make_transforms(node: Node) -> Transforms:
+    """Return TF, or what stands in for it."""
+    try:
+        return Tf2Transforms(node)
+    except ImportError:
+        return NoTransforms(node)

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording in place of the camera, with tracker, mapper and, on request, RViz."""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+_EITHER = ['true', 'false']
+_ARGUMENTS = [
+    DeclareLaunchArgument(
+        'source',
+        default_value='synthetic:room',
+        description='Folder in TUM layout, rosbag2 folder or file, synthetic:room|plane|zigzag.',
+    ),
+    DeclareLaunchArgument(
+        'bag', default_value='', description='Bag to play; another name for `source`.'
+    ),
+    DeclareLaunchArgument(
+        'rate', default_value='1.0', description='Speed; 0: as fast as possible.'
+    ),
+    DeclareLaunchArgument(
+        'loop', default_value='false', choices=_EITHER, description='Begin again at the end.'
+    ),
+    DeclareLaunchArgument(
+        'mapper', default_value='true', choices=_EITHER, description='Start the mapper.'
+    ),
+    DeclareLaunchArgument(
+        'rviz', default_value='false', choices=_EITHER, description='Show it all in RViz.'
+    ),
+    DeclareLaunchArgument(
+        'params', default_value='', description='Parameter file of tracker and mapper.'
+    ),
+]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return what `ros2 launch` starts."""
+    slam = Path(get_package_share_directory('dcgs_ros'), 'launch', 'slam.launch.py')
+    arguments = {name: LaunchConfiguration(name) for name in ('mapper', 'rviz', 'params')}
+    arguments |= {'camera': 'none', 'reliability': 'reliable'}
+    return LaunchDescription(
+        [
+            *_ARGUMENTS,
+            # First: it sets the transport up for the replay too.
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(str(slam)), launch_arguments=arguments.items()
+            ),
+            OpaqueFunction(function=_replay),
+        ]
+    )
+
+
+def _replay(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    names = ('source', 'bag', 'rate', 'loop')
+    given = {name: LaunchConfiguration(name).perform(context) for name in names}
+    parameters = {
+        # As it is: else a folder named 2026 would be a number.
+        'source': ParameterValue(given['bag'] or given['source'], value_type=str),
+        'rate': float(given['rate']),
+        'loop': given['loop'] == 'true',
+        'wait_for_subscribers': 1,
+    }
+    return [
+        Node(package='dcgs_ros', executable='replay', output='screen', parameters=[parameters])
+    ]

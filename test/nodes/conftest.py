@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""ROS for tests: on this machine alone, in a domain of its own, with its own log folder."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Environment for processes that talk to each other and to nobody else."""
+    return {
+        **os.environ,
+        'PYTHONPATH': str(ROOT),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_DOMAIN_ID': str(random.randrange(101)),
+        'ROS_LOG_DIR': str(folder),
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds.xml'),
+    }
+
+
+@pytest.fixture
+def ros_environment(tmp_path: Path) -> dict[str, str]:
+    """Environment for a test's processes."""
+    return environment(tmp_path / 'ros')
+
+
+@pytest.fixture(scope='module')
+def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """ROS in this process, for nodes that nobody else has to see."""
+    rclpy = pytest.importorskip('rclpy')
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment(tmp_path_factory.mktemp('ros')).items():
+            patch.setenv(name, value)
+        rclpy.init(args=[])
+        yield
+        rclpy.shutdown()

@@ -1,0 +1,296 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The replay node as a process of its own: over DDS comes what was recorded, when it is due."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('rosbags')
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
+
+sys.path.insert(0, str(Path(__file__).parents[1] / 'datasets'))
+
+from bags import (  # type: ignore[import-not-found]
+    COLOR,
+    DEPTH,
+    INFO,
+    MCAP,
+    SQLITE,
+    Entry,
+    recording,
+    write_bag,
+)
+
+from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.datasets.bag_messages import read_header
+from dcgs_ros.datasets.open import open_source
+from dcgs_ros.io.ros_images import read_camera, read_color, read_depth, stamp_ns
+from dcgs_ros.nodes.messages.headers import header
+from dcgs_ros.nodes.reels import make_reel
+
+ENDS_S = 30.0  # a process that plays for a second, on a loaded machine
+FRAMES = 12
+DDS_ALIGNMENT = 4  # bytes, to which it fills a message up
+INTERVAL_S = 0.03  # of tum_folder's stamps
+LATE_S = 0.15  # from when a frame is due to when this process, loaded, has it
+TYPES: dict[str, type] = {COLOR: Image, DEPTH: Image, INFO: CameraInfo, '/clock': Clock}
+PROGRAM = 'import sys; from dcgs_ros.nodes.replay import main; sys.exit(main())'
+
+pytestmark = pytest.mark.usefixtures('ros')
+
+
+class Ear:
+    """Keeps what comes on the camera's topics, as bytes or as messages, and when."""
+
+    def __init__(self, raw: bool) -> None:
+        self.heard: dict[str, list[Any]] = {topic: [] for topic in TYPES}
+        self.at_s: dict[str, list[float]] = {topic: [] for topic in TYPES}
+        self.node = Node('ear')
+        for topic, type_ in TYPES.items():
+            self.node.create_subscription(
+                type_, topic, partial(self._hear, topic), QoSProfile(depth=1000), raw=raw
+            )
+
+    def _hear(self, topic: str, message: Any) -> None:
+        self.heard[topic].append(message)
+        self.at_s[topic].append(time.monotonic())
+
+
+@contextmanager
+def listening(raw: bool = False) -> Iterator[Ear]:
+    """Spin in the background."""
+    ear, executor = Ear(raw), SingleThreadedExecutor()
+    executor.add_node(ear.node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield ear
+    finally:
+        executor.shutdown()
+        thread.join()
+        ear.node.destroy_node()
+
+
+@contextmanager
+def replay(source: Path | str, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+    """Start to play as soon as this process listens."""
+    values = {'source': source, 'wait_for_subscribers': 1, **parameters}
+    arguments = [part for name in values for part in ('-p', f'{name}:={values[name]}')]
+    process = subprocess.Popen(
+        [sys.executable, '-c', PROGRAM, '--ros-args', *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def played(source: Path | str, raw: bool = False, **parameters: object) -> Ear:
+    """Play to the end."""
+    with listening(raw) as ear, replay(source, **parameters) as process:
+        out, _ = process.communicate(timeout=ENDS_S)
+        assert process.returncode == 0, out
+        time.sleep(0.3)  # what is acknowledged is still to be taken by the executor
+    return ear
+
+
+def stamps(messages: list[Any]) -> list[int]:
+    return [stamp_ns(message.header.stamp) for message in messages]
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + ENDS_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_every_frame_arrives_as_it_is_when_it_is_due(tum_folder: Callable[..., Path]) -> None:
+    folder = tum_folder('fr1_small', frames=FRAMES, size=(640, 480))  # as fr1's camera wants it
+    source = open_source(str(folder))
+    frames = [frame for frame in source if isinstance(frame, RgbdFrame)]
+    ear = played(folder)
+    colors, depths, infos = (ear.heard[topic] for topic in (COLOR, DEPTH, INFO))
+    assert stamps(colors) == stamps(infos) == [frame.stamp_ns for frame in frames]
+    assert stamps(depths) == [frame.depth_stamp_ns for frame in frames]
+    for frame, color, depth, info in zip(frames, colors, depths, infos, strict=True):
+        np.testing.assert_array_equal(read_color(color), frame.color)
+        np.testing.assert_array_equal(read_depth(depth), frame.depth_m)
+        assert (color.encoding, depth.encoding) == ('rgb8', '16UC1')
+        assert read_camera(info) == source.camera
+        for message in (color, depth, info):
+            assert message.header.frame_id == 'camera_color_optical_frame'
+    at_s = np.array(ear.at_s[COLOR]) - INTERVAL_S * np.arange(FRAMES)
+    assert np.ptp(at_s) < LATE_S
+    clock = [stamp_ns(message.clock) for message in ear.heard['/clock']]
+    assert clock[0] == frames[0].depth_stamp_ns  # the later of the two
+    assert clock[-1] == frames[-1].depth_stamp_ns
+    assert (np.diff(clock) >= 0).all()
+
+
+@pytest.mark.parametrize(
+    'plugin', [MCAP, pytest.param(SQLITE, marks=pytest.mark.slow)], ids=['mcap', 'sqlite3']
+)
+def test_a_bag_is_replayed_byte_for_byte(tmp_path: Path, plugin: int) -> None:
+    entries: list[Entry] = list(recording(FRAMES))
+    ear = played(write_bag(tmp_path / 'bag', entries, plugin), raw=True)
+    for topic in (COLOR, DEPTH, INFO):
+        recorded = [entry.cdr for entry in entries if entry.topic == topic]
+        assert ear.heard[topic] == [cdr + bytes(-len(cdr) % DDS_ALIGNMENT) for cdr in recorded]
+
+
+@pytest.mark.slow
+def test_a_bag_of_another_camera_comes_on_the_usual_topics(tmp_path: Path) -> None:
+    entries = list(recording(FRAMES, '/front/rgb/image', '/front/depth/image'))
+    ear = played(write_bag(tmp_path / 'bag', entries), raw=True, rate=5.0)
+    expected = [entry.cdr for entry in entries if entry.topic == '/front/rgb/image']
+    assert ear.heard[COLOR] == expected
+
+
+@pytest.mark.slow
+def test_start_duration_and_rate(tum_folder: Callable[..., Path]) -> None:
+    folder = tum_folder('small', frames=25)
+    all_ns = [frame.stamp_ns for frame in open_source(str(folder), '50,50,31.5,23.5')]
+    ear = played(
+        folder, camera='50,50,31.5,23.5', start_s=0.15, duration_s=0.3, rate=0.5, clock=False
+    )
+    assert stamps(ear.heard[COLOR]) == all_ns[5:15]
+    assert ear.at_s[COLOR][-1] - ear.at_s[COLOR][0] == pytest.approx(9 * 0.06, abs=LATE_S)
+    assert not ear.heard['/clock']
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('continuous', [False, True])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('as_bag', [False, True])
+def test_a_loop_goes_on_until_it_is_told_to_end(
+    tum_folder: Callable[..., Path], tmp_path: Path, continuous: bool, number: int, as_bag: bool
+) -> None:
+    source = tum_folder('small', frames=5)
+    options: dict[str, object] = {'loop': True, 'continuous_stamps': continuous}
+    if as_bag:
+        source = write_bag(tmp_path / 'bag', recording(5))
+    else:
+        options['camera'] = '50,50,31.5,23.5'
+    with listening(raw=as_bag) as ear, replay(source, **options) as process:
+        until(lambda: len(ear.heard[COLOR]) >= 13)
+        process.send_signal(number)
+        out, _ = process.communicate(timeout=ENDS_S)
+        assert process.returncode == 0, out
+        assert 'Traceback' not in out
+    heard = ear.heard[COLOR][:13]
+    at = [read_header(message)[0] for message in heard] if as_bag else stamps(heard)
+    if continuous:
+        assert (np.diff(at) > 0).all()
+        assert np.diff(at).max() < 2e9 * INTERVAL_S
+    else:
+        assert at == (at[:5] * 3)[:13]
+
+
+@pytest.mark.slow
+def test_as_fast_as_possible_loses_nothing(tum_folder: Callable[..., Path]) -> None:
+    ear = played(tum_folder('fr1_small', frames=25, size=(640, 480)), rate=0.0)
+    for topic in (COLOR, DEPTH, INFO):
+        assert len(ear.heard[topic]) == 25
+    assert ear.at_s[COLOR][-1] - ear.at_s[COLOR][0] < 25 * INTERVAL_S
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_while_it_waits_for_subscribers(
+    tum_folder: Callable[..., Path], number: int
+) -> None:
+    with replay(tum_folder('fr1_small'), wait_for_subscribers=2) as process:
+        with listening() as ear:  # only one
+            until(lambda: 'dcgs_replay' in ear.node.get_node_names())
+            time.sleep(0.5)
+            assert process.poll() is None
+        process.send_signal(number)
+        out, _ = process.communicate(timeout=ENDS_S)
+        assert process.returncode == 0, out
+        assert 'Traceback' not in out
+
+
+@pytest.mark.slow
+def test_what_cannot_be_played_is_told_in_one_line(tum_folder: Callable[..., Path]) -> None:
+    with replay('/nowhere') as process:
+        out, _ = process.communicate(timeout=ENDS_S)
+    assert process.returncode == 2
+    assert out.splitlines() == [
+        '/nowhere: no such folder or file, and no address that begins with synthetic:'
+    ]
+    with replay(tum_folder('fr1_small'), wait_for_subscribers=0, start_s=100.0) as process:
+        out, _ = process.communicate(timeout=ENDS_S)
+    assert process.returncode == 1
+    assert 'nothing to replay: no frame from 100 s on' in out
+
+
+@pytest.mark.slow
+def test_a_real_sequence_arrives_whole_at_its_own_rate(data_dir: Path) -> None:
+    folder = data_dir / 'tum_fr3_teddy_200'
+    sent = [frame for frame in open_source(str(folder)) if isinstance(frame, RgbdFrame)]
+    ear = played(folder)
+    assert len(ear.heard[COLOR]) == len(ear.heard[DEPTH]) == len(sent)
+    for k in (0, len(sent) // 2, len(sent) - 1):
+        np.testing.assert_array_equal(read_color(ear.heard[COLOR][k]), sent[k].color)
+        np.testing.assert_array_equal(read_depth(ear.heard[DEPTH][k]), sent[k].depth_m)
+    due_s = 1e-9 * np.array([max(frame.stamp_ns, frame.depth_stamp_ns) for frame in sent])
+    late_s = np.array(ear.at_s[DEPTH]) - due_s
+    assert np.percentile(late_s - late_s.min(), 95) < LATE_S
+
+
+def test_depth_is_sent_in_millimetres_only_where_they_tell_all(
+    tum_folder: Callable[..., Path],
+) -> None:
+    reel = make_reel(str(tum_folder('fr1_small')), None, 'optical', lambda _: None)
+    whole = np.full((480, 640), 1.234, np.float32)
+    finer, farther = whole.copy(), whole.copy()
+    finer[3, 5], farther[3, 5] = 1.2342, 65.536
+    color = np.zeros((480, 640), np.uint8)
+    for depth_m, encoding in ((whole, '16UC1'), (finer, '32FC1'), (farther, '32FC1')):
+        messages = dict(reel.messages(RgbdFrame(10, 20, color, depth_m), shift_ns=5))
+        assert messages['depth'].encoding == encoding
+        assert messages['color'].encoding == 'mono8'
+        assert messages['depth'].header == header(25, 'optical')
+        assert messages['color'].header == messages['camera_info'].header == header(15, 'optical')
+        np.testing.assert_array_equal(read_depth(messages['depth']), depth_m)
+
+
+def test_frames_that_cannot_be_read_are_told_and_left_out(tum_folder: Callable[..., Path]) -> None:
+    folder, said = tum_folder('small', frames=3), []
+    (folder / 'depth' / '1.png').write_bytes(b'no image')
+    reel = make_reel(str(folder), '50,50,31.5,23.5', 'optical', said.append)
+    assert len(list(reel.items())) == 2
+    assert len(said) == 1 and 'frame 2 of 3' in said[0]
+
+
+def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
+    path = str(write_bag(tmp_path / 'bag', recording(2)))
+    raw = make_reel(path, None, 'optical', lambda _: None)
+    assert raw.camera_frame == 'camera_color_optical_frame'
+    converted = make_reel(path, '60,61,32,24', 'optical', lambda _: None)
+    (_, frame), _ = converted.items()
+    assert read_camera(dict(converted.messages(frame, 0))['camera_info']).fy == 61

@@ -18,6 +18,7 @@ from .spatial_index import VoxelIndex
 
 _IN_VIEW_SIGMAS = 4.0  # a Gaussian is seen where the measured depth agrees with it to this
 _IN_VIEW_FLOOR_M = 0.01
+_AGREES, _LOOKED_THROUGH = 1, 2  # what a depth image says of a Gaussian in view; 0: nothing
 
 
 class GaussianMap:
@@ -191,12 +192,35 @@ class GaussianMap:
         Sigma_t is then the noise of the most recent observation (paper, tracking covariance).
         Returns how many were seen.
         """
-        seen = np.zeros(CHUNKS, np.int64)
-        _refresh(
-            self.means, self.viewpoints, T_world_cam, depth_m, camera.parameters, sensor.a_m,
-            sensor.b_per_m, seen,
+        seen = self._compared(T_world_cam, depth_m, camera, sensor) == _AGREES
+        self.viewpoints[seen] = T_world_cam[:3, 3]
+        return int(np.count_nonzero(seen))
+
+    def agreement(
+        self,
+        T_world_cam: NDArray[np.float64],
+        depth_m: NDArray[np.float32],
+        camera: PinholeCamera,
+        sensor: SensorNoise,
+    ) -> float:
+        """Share of the Gaussians in view that a depth image from T sees, of those it should see.
+
+        It should not see those behind what it measured. One that it looks through tells that the
+        camera is not there, however well the frame fits to what else the map holds.
+        """
+        verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
+        seen = int(np.count_nonzero(verdicts == _AGREES))
+        looked_through = int(np.count_nonzero(verdicts == _LOOKED_THROUGH))
+        return seen / max(seen + looked_through, 1)
+
+    def _compared(
+        self, T: NDArray, depth_m: NDArray, camera: PinholeCamera, sensor: SensorNoise
+    ) -> NDArray[np.uint8]:
+        verdicts = np.zeros(self._used, np.uint8)
+        _compare(
+            self.means, T, depth_m, camera.parameters, sensor.a_m, sensor.b_per_m, verdicts
         )  # fmt: skip
-        return int(seen.sum())
+        return verdicts
 
 
 def _grown(array: NDArray, needed: int) -> NDArray:
@@ -209,7 +233,7 @@ def _grown(array: NDArray, needed: int) -> NDArray:
 
 
 @parallel_kernel
-def _refresh(means, viewpoints, T, depth, camera, noise_a, noise_b, seen):
+def _compare(means, T, depth, camera, noise_a, noise_b, verdicts):
     height, width = depth.shape
     n = means.shape[0]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -228,8 +252,9 @@ def _refresh(means, viewpoints, T, depth, camera, noise_a, noise_b, seen):
             v = math.floor(fy * (y * radial + shift_y) + cy + 0.5)
             if u < 0 or v < 0 or u >= width or v >= height:
                 continue
-            sigma = noise_a + noise_b * z * z
             measured = depth[v, u]
-            if abs(measured - z) <= _IN_VIEW_SIGMAS * sigma + _IN_VIEW_FLOOR_M:
-                viewpoints[j, 0], viewpoints[j, 1], viewpoints[j, 2] = T[0, 3], T[1, 3], T[2, 3]
-                seen[chunk] += 1
+            tolerance = _IN_VIEW_SIGMAS * (noise_a + noise_b * z * z) + _IN_VIEW_FLOOR_M
+            if abs(measured - z) <= tolerance:
+                verdicts[j] = _AGREES
+            elif measured > z:
+                verdicts[j] = _LOOKED_THROUGH

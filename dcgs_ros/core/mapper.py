@@ -117,6 +117,9 @@ class Mapper:
                 f'{n} ids come with means {keyframe.means.shape} and normals '
                 f'{keyframe.normals.shape}'
             )
+        different = len(np.unique(keyframe.ids))
+        if different != n:
+            raise MapperError(f'{n} Gaussians of a keyframe have only {different} different ids')
         for name in ('T_world_cam', 'T_colour_depth'):
             if not np.all(np.isfinite(getattr(keyframe, name))):
                 raise MapperError(f'{name} of a keyframe is not finite')

@@ -16,6 +16,7 @@ _TRIES = 3  # poses a frame: what real time has room for
 # Share of a frame that the map explains where the camera really is. Noisy depth is explained
 # worse everywhere: who finds nothing for long becomes less demanding.
 _EXPLAINED, _AT_LEAST, _PATIENCE = 0.7, 0.5, 0.005
+_AGREEMENT = 0.87  # of the map with the frame: what it should see and does
 
 
 class PoseSearch:
@@ -32,13 +33,18 @@ class PoseSearch:
 
     def best(self, depth: DepthTerm, config: Config) -> Registration:
         """Register the cloud from the next few poses; returns what explains most of it."""
-        search_m = config.registration.guess_radius_m
-        found = (register(T, depth, None, config, search_m) for T in self._some())
-        return max(found, key=lambda result: result.overlap)
+        settings = config.registration
+        found = (register(T, depth, None, config, settings.guess_radius_m) for T in self._some())
+        best = max(found, key=lambda result: result.overlap)
+        return register(best.T_world_cam, depth, None, config, settings.radius_m)
 
-    def found(self, result: Registration) -> bool:
-        """Tell whether that is the place; otherwise the next one has to explain a bit less."""
-        if result.overlap >= self._wanted:
+    def found(self, result: Registration, agreement: float) -> bool:
+        """Tell whether that is the place; otherwise the next one has to explain a bit less.
+
+        A frame may fit to a wrong place. The map then shows what the frame looks through: such an
+        `agreement` (`GaussianMap.agreement`) is not enough, however long it takes.
+        """
+        if result.overlap >= self._wanted and agreement >= _AGREEMENT:
             return True
         self._wanted = max(self._wanted - _PATIENCE, _AT_LEAST)
         return False

@@ -92,6 +92,7 @@ class Tracker:
         self._uses_landmarks = self.config.ablation in ('full', 'shared_klt')
         self._policy = KeyframePolicy(self.config.keyframes)
         self._motion = ConstantVelocity()
+        self._motion.start(self._T_world_first, 0, np.zeros(6))
         self._offset = ColourDepthOffset(self.config.timing)
         self._landmarks = Landmarks.none()
         self._seen: _Seen | None = None
@@ -242,9 +243,11 @@ class Tracker:
         cloud = self._sample(frame, self.config.cloud.stride_px)
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, self.config, None)
         result = search.best(depth, self.config)
-        if not (self._trusted(result) and search.found(result)):
+        T = result.T_world_cam
+        agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, self.config.sensor)
+        if not (self._trusted(result) and search.found(result, agreement)):
             return self._lost(frame, result)
-        self._search, T = None, result.T_world_cam
+        self._search = None
         self._motion.start(T, frame.stamp_ns, np.zeros(6))
         self._seen = _Seen(grey, frame.depth_m, np.eye(4), T)
         self._anchor(frame, self._seen)

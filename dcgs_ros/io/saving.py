@@ -48,7 +48,8 @@ def saved_map(mapper: Mapper, tracker: Tracker | None) -> SavedMap:
 def as_hosts_saw(mapper: Mapper) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Viewpoints (N, 3) and Sigma_t (N, 6) of the keyframes that Gaussians came with.
 
-    NaN of the mapper's own, which nobody measured.
+    NaN of the mapper's own, which nobody measured, and of what has no Sigma_t in float32: at the
+    viewpoint itself, or out of all bounds.
     """
     table, config = mapper.table, mapper.config
     rows = np.flatnonzero(table.ids >= 0)
@@ -58,10 +59,13 @@ def as_hosts_saw(mapper: Mapper) -> tuple[NDArray[np.float32], NDArray[np.float3
     viewpoints[rows] = centres[table.hosts[rows]]
     rays = table.measured[:, rows].T - centres[table.hosts[rows]]
     ranges = np.linalg.norm(rays, axis=1)
-    Sigma_t = config.sensor.covariance(
-        rays / ranges[:, None], ranges, config.registration.anchor_px, mapper.camera.focal
-    )
-    covariances[rows] = Sigma_t[:, _ROWS, _COLUMNS]
+    with np.errstate(invalid='ignore', over='ignore'):
+        Sigma_t = config.sensor.covariance(
+            rays / ranges[:, None], ranges, config.registration.anchor_px, mapper.camera.focal
+        )
+        covariances[rows] = Sigma_t[:, _ROWS, _COLUMNS]
+    unknown = ~np.isfinite(covariances).all(axis=1)
+    viewpoints[unknown] = covariances[unknown] = np.nan
     return viewpoints, covariances
 
 

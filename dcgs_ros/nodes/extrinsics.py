@@ -13,7 +13,7 @@ from .settings import TrackerNodeSettings
 from .transforms import Transforms
 
 # REP 103: the optical frame has z forward and x right, the base x forward and z up.
-_OPTICAL_WXYZ = np.array([0.5, -0.5, 0.5, -0.5])
+LOOKING_FORWARD = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
 _UNIT = 1e-3  # how far a quaternion's length may be from 1
 
 
@@ -26,7 +26,7 @@ def base_to_camera(
     if settings.base_frame == camera_frame:
         return np.eye(4)
     known = transforms.lookup(settings.base_frame, camera_frame)
-    return se3.from_quaternion(_OPTICAL_WXYZ, np.zeros(3)) if known is None else known
+    return LOOKING_FORWARD if known is None else known
 
 
 def _parsed(text: str) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 EPOCH = 1 << 32
+EPOCHS = 1 << 20
 
 
 def joined_ids(epoch: int, ids: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 
 from ..io.ros_images import MessageError, stamp_ns
 from .keyframe_messages import TOPICS, write_keyframe
-from .map_messages import UPDATES_KEPT, read_poses
+from .map_messages import UPDATES_KEPT, read_poses, read_stamps
 from .map_mirror import MapMirror, Resumable
 from .messages.clouds import KEYFRAME_POSE, MAP_GAUSSIAN, read_cloud
 from .offers import Offer
@@ -64,15 +64,15 @@ class KeyframeLink:
         if rows is None or keyframes is None:
             return None
         try:
-            return Resumable.of(rows, read_poses(read_cloud(keyframes, KEYFRAME_POSE)))
+            visited = read_cloud(keyframes, KEYFRAME_POSE)
+            return Resumable.of(rows, read_poses(visited), read_stamps(visited))
         except MessageError as error:
             self._node.get_logger().warning(f'map of the mapper refused: {error}')
             return None
 
     def _on_map(self, cloud: PointCloud2) -> None:
         self._taken(self._mirror.whole, cloud)
-        if cloud.width:
-            self._came.set()
+        self._look()
 
     def _on_update(self, cloud: PointCloud2) -> None:
         self._taken(self._mirror.update, cloud)
@@ -85,3 +85,10 @@ class KeyframeLink:
 
     def _on_keyframes(self, cloud: PointCloud2) -> None:
         self._keyframes = cloud
+        self._look()
+
+    def _look(self) -> None:
+        """Tell who waits that there is a map, and the keyframes that it came from."""
+        rows, keyframes = self._mirror.rows, self._keyframes
+        if rows is not None and len(rows) and keyframes is not None and keyframes.width:
+            self._came.set()

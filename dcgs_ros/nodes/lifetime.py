@@ -18,6 +18,7 @@ from rclpy.node import Node
 from ..core.errors import DcgsError
 from .transport import prepare
 
+_WAKE_S = 1.0
 _FAILED = threading.Event()  # a thread of this process' node did
 
 
@@ -38,7 +39,8 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
         executor = SingleThreadedExecutor()  # first: it does not like a signal while it is made
         node = make()
         executor.add_node(node)
-        executor.spin()
+        while True:  # `spin` may miss the signal that ends it, where no timer wakes it up again
+            executor.spin_once(timeout_sec=_WAKE_S)
     except ExternalShutdownException:
         pass
     except Exception as error:
@@ -65,9 +67,10 @@ class Worker:
     def _run(self) -> None:
         try:
             self._work()
-        except Exception:
+        except Exception as error:
             if self._node.context.ok():  # else a signal came while something was being published
-                self._node.get_logger().fatal(traceback.format_exc())
+                expected = isinstance(error, DcgsError)
+                self._node.get_logger().fatal(str(error) if expected else traceback.format_exc())
                 _FAILED.set()
                 self._node.context.try_shutdown()
 

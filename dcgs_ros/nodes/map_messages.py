@@ -13,6 +13,7 @@ from ..core import se3
 from ..core.keyframe_view import KeyframeView
 from ..core.mapper import Mapper
 from ..core.splats import SH_C0
+from ..io.ros_images import MessageError
 from ..io.saving import as_hosts_saw
 from .messages.clouds import KEYFRAME_POSE, MAP_GAUSSIAN, pack_rgb
 
@@ -55,7 +56,17 @@ def keyframe_rows(views: Sequence[KeyframeView]) -> NDArray:
 
 
 def read_poses(rows: NDArray) -> list[NDArray[np.float64]]:
-    """Poses T_world_cam (4, 4) of KEYFRAME_POSE rows."""
+    """Poses T_world_cam (4, 4) of KEYFRAME_POSE rows; raises `MessageError` where one is none."""
     quats = np.stack([rows[name] for name in ('qw', 'qx', 'qy', 'qz')], axis=1)
     positions = np.stack([rows[axis] for axis in 'xyz'], axis=1)
+    usable = (
+        np.isfinite(positions).all(axis=1) & np.isfinite(quats).all(axis=1) & quats.any(axis=1)
+    )
+    if not usable.all():
+        raise MessageError(f'{np.count_nonzero(~usable)} of {len(rows)} keyframes have no pose')
     return list(se3.from_quaternion(quats.astype(np.float64), positions.astype(np.float64)))
+
+
+def read_stamps(rows: NDArray) -> list[int]:
+    """Stamps, nanoseconds, of KEYFRAME_POSE rows."""
+    return (rows['sec'].astype(np.int64) * 1_000_000_000 + rows['nanosec']).tolist()

@@ -27,7 +27,7 @@ _RATE_MEMORY_S = 5.0  # over which steps a second are counted
 
 
 class Mapping:
-    """One map after the other: keyframes of a new epoch or camera begin a new one.
+    """One map after the other: the first usable keyframe of a new epoch begins a new one.
 
     All of it belongs to one thread.
     """
@@ -50,10 +50,9 @@ class Mapping:
         vain.
         """
         stamp_ns = offer.keyframe.frame.stamp_ns
-        if offer.epoch not in (0, self.epoch):
-            self._begin(offer)
-        mapper = self.mapper
-        if mapper is None or stamp_ns in self.stamps:
+        begins = offer.epoch not in (0, self.epoch)
+        mapper = self._another(offer) if begins else self.mapper
+        if mapper is None or (stamp_ns in self.stamps and not begins):
             return None
         try:
             mapper.insert(offer.keyframe)
@@ -61,17 +60,21 @@ class Mapping:
             self.refused += 1
             self._say(f'keyframe refused: {error}')
             return None
+        if begins:
+            self._begin(mapper, offer.epoch)
         self.stamps.add(stamp_ns)
         self._rested = 0
         return mapper.update()
 
-    def _begin(self, offer: Offer) -> None:
+    def _another(self, offer: Offer) -> Mapper:
+        renderer = make_renderer(self._workers)
+        return Mapper(offer.camera, self.config, renderer, self._workers)
+
+    def _begin(self, mapper: Mapper, epoch: int) -> None:
         if self.mapper is not None:
             self._say(f'the tracker began a new map: {len(self.mapper.table)} Gaussians are gone')
         self.reset()
-        renderer = make_renderer(self._workers)
-        self.mapper = Mapper(offer.camera, self.config, renderer, self._workers)
-        self.epoch = offer.epoch
+        self.mapper, self.epoch = mapper, epoch
 
     def reset(self) -> None:
         """Drop the map; what keyframes the tracker has it may offer again."""

@@ -81,8 +81,8 @@ class Offers:
         self._kept: dict[int, _Kept] = {}
         self._sent_s: dict[int, float] = {}  # monotonic time by stamp, of what is not acknowledged
         self._had: frozenset[int] = frozenset()
-        self._map = 0  # counts them; what waits of an older one is of no use
-        self._queue: queue.SimpleQueue[tuple[int, Offer] | None] = queue.SimpleQueue()
+        self._epoch = 0  # of the map that is offered; what still waits of another is of no use
+        self._queue: queue.SimpleQueue[Offer | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._closed = False
         self.offered = self.offered_again = self.left_out = 0
@@ -92,9 +92,12 @@ class Offers:
         self._thread.start()
 
     def put(self, offer: Offer) -> None:
-        """Take an offer to be sent; returns at once."""
+        """Take an offer to be sent; returns at once. One of another map is the end of the last."""
+        if offer.epoch != self._epoch:
+            self.forget()
+            self._epoch = offer.epoch
         if len(offer.keyframe.ids) or self._queue.qsize() < _QUEUED:
-            self._queue.put((self._map, offer))
+            self._queue.put(offer)
         else:
             self.left_out += 1
 
@@ -108,7 +111,7 @@ class Offers:
     def forget(self) -> None:
         """Drop all that is kept: a new map has begun."""
         with self._lock:
-            self._map += 1
+            self._epoch = 0
             self._kept.clear()
             self._sent_s.clear()
 
@@ -135,13 +138,13 @@ class Offers:
 
     def _offer_next(self) -> None:
         try:
-            waiting = self._queue.get(timeout=_TICK_S)
+            offer = self._queue.get(timeout=_TICK_S)
         except queue.Empty:
             return
-        if waiting is not None and waiting[0] == self._map and not self._closed:
-            self._offer(*waiting)
+        if offer is not None and offer.epoch == self._epoch:
+            self._offer(offer)
 
-    def _offer(self, number: int, offer: Offer) -> None:
+    def _offer(self, offer: Offer) -> None:
         keyframe = bool(len(offer.keyframe.ids))
         try:
             if self._link.connected() and self._room(_IN_FLIGHT):
@@ -151,24 +154,26 @@ class Offers:
                 self.left_out += 1
         finally:
             if keyframe:
-                self._keep(number, offer)
+                self._keep(offer)
 
-    def _keep(self, number: int, offer: Offer) -> None:
+    def _keep(self, offer: Offer) -> None:
         kept = _encoded(offer)
         with self._lock:
-            if number == self._map:
+            if offer.epoch == self._epoch:
                 self._kept[offer.keyframe.frame.stamp_ns] = kept
                 self._thin()
 
     def _offer_again(self) -> None:
-        if self._closed or not self._link.connected() or not self._room(_AGAIN):
+        if not self._link.connected() or not self._room(_AGAIN):
             return
         with self._lock:
             lacking = self._kept.keys() - self._had - self._sent_s.keys()
-            kept = self._kept[min(lacking)] if lacking else None
-        if kept is not None:
-            self._send(_decoded(kept, self._alive))
-            self.offered_again += 1
+            if not lacking:
+                return
+            kept = self._kept[min(lacking)]
+            self._sent_s[min(lacking)] = time.monotonic()  # whatever comes of it: others are next
+        self._send(_decoded(kept, self._alive))
+        self.offered_again += 1
 
     def _send(self, offer: Offer) -> None:
         with self._lock:
@@ -179,7 +184,7 @@ class Offers:
         """Tell whether fewer than `limit` are on their way; what is for too long is lost."""
         late = time.monotonic() - _PATIENCE_S
         with self._lock:
-            self._sent_s = {k: sent for k, sent in self._sent_s.items() if True}
+            self._sent_s = {k: sent for k, sent in self._sent_s.items() if sent > late}
             return len(self._sent_s) < limit
 
     def _thin(self) -> None:
@@ -212,7 +217,8 @@ def _merged(heir: Offer, left: Offer) -> Offer:
 def _encoded(offer: Offer) -> _Kept:
     """Compress the images, depth without loss to the millimetre that is sent."""
     frame = offer.keyframe.frame
-    small = replace(frame, color=frame.color[:1, :1], depth_m=np.ones((1, 1), np.float32))
+    pixel = frame.color[:1, :1].copy()  # a view would keep the whole image
+    small = replace(frame, color=pixel, depth_m=np.ones((1, 1), np.float32))
     usable = (frame.depth_m > 0) & (frame.depth_m <= _DEPTH_LIMIT_M)
     depth_mm = np.rint(np.where(usable, frame.depth_m, 0) * _DEPTH_UNITS).astype(np.uint16)
     color = frame.color if frame.color.ndim == 2 else frame.color[..., ::-1]
@@ -232,7 +238,7 @@ def _decoded(kept: _Kept, alive: Callable[[NDArray], NDArray[np.bool_]]) -> Offe
     depth_m = cv2.imdecode(kept.depth, cv2.IMREAD_UNCHANGED).astype(np.float32) / _DEPTH_UNITS
     frame = replace(
         keyframe.frame, color=np.ascontiguousarray(color if grey else color[..., ::-1]),
-        depth_m=depth_m.astype(np.float32),
+        depth_m=depth_m,
     )  # fmt: skip
     here = alive(keyframe.ids)
     keyframe = replace(

@@ -13,15 +13,14 @@ from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
-import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 
-from ..core import se3
 from ..datasets.prefetch import prefetch
+from .extrinsics import LOOKING_FORWARD
 from .lifetime import Worker, run
 from .messages.headers import header, time_message
 from .messages.poses import transform_stamped
@@ -37,9 +36,8 @@ _TOPICS: dict[Output, tuple[type, str]] = {
     'color': (Image, '/camera/camera/color/image_raw'),
     'depth': (Image, '/camera/camera/aligned_depth_to_color/image_raw'),
 }
-# REP 103: the optical frame has z forward and x right, the base x forward and z up.
-_T_BASE_CAM = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
 _POLL_S = 0.05
+_SETTLED = 4  # frames after which to wait, where nothing else does: fewer than are kept
 _ACKNOWLEDGED = Duration(seconds=2)
 
 
@@ -61,7 +59,9 @@ class ReplayNode(Node):
             for output, (type_, topic) in _TOPICS.items()
         }
         self._clock_output = self.create_publisher(Clock, '/clock', RELIABLE)
-        fixed = transform_stamped(_T_BASE_CAM, header(0, s.base_frame), self._reel.camera_frame)
+        fixed = transform_stamped(
+            LOOKING_FORWARD, header(0, s.base_frame), self._reel.camera_frame
+        )
         make_transforms(self).send_static(fixed)
         self._stop = threading.Event()
         self._worker = Worker(self, self._work, 'replay')
@@ -93,9 +93,9 @@ class ReplayNode(Node):
                 for output, message in messages:
                     self._outputs[output].publish(message)
                     count += output == 'color'
-                if not s.rate:
-                    self._settle()
-        self._settle()
+                if not s.rate and count % _SETTLED == 0:
+                    self._settle('color', 'depth')
+        self._settle(*_TOPICS)
         self.get_logger().info(f'{count} frames in {time.monotonic() - start_s:.1f} s')
 
     def _converted(self) -> Iterator[tuple[Cue[Any], list[tuple[Output, Any]]]]:
@@ -105,10 +105,10 @@ class ReplayNode(Node):
         for cue in cues:
             yield cue, self._reel.messages(cue.item, cue.shift_ns)
 
-    def _settle(self) -> None:
-        """Wait until all subscribers have what was published."""
-        for output in self._outputs.values():
-            output.wait_for_all_acked(_ACKNOWLEDGED)
+    def _settle(self, *outputs: Output) -> None:
+        """Wait until all reliable subscribers have what was published."""
+        for output in outputs:
+            self._outputs[output].wait_for_all_acked(_ACKNOWLEDGED)
 
     def _tell_time(self, clock_ns: int) -> None:
         if self._settings.clock:

@@ -41,14 +41,14 @@ _POLL_S = 0.02
 class Processes:
     """Starts nodes in a domain of their own, on this host only; ends those that are left."""
 
-    def __init__(self, logs: Path) -> None:
-        """Write logs, a file a node, into `logs`."""
+    def __init__(self, logs: Path, discovery: str = 'LOCALHOST') -> None:
+        """Write logs, a file a node, into `logs`; `discovery` SUBNET lets it be several hosts."""
         self.domain = random.SystemRandom().randrange(101)
         self._logs = logs
         self._running: list[subprocess.Popen[bytes]] = []
         prepare()
         self._environment = os.environ | {
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': discovery,
             'ROS_DOMAIN_ID': str(self.domain),
             'ROS_LOG_DIR': str(logs),
         }
@@ -93,7 +93,7 @@ class Processes:
 class Observer:
     """Watches the topics of the nodes in a thread of its own."""
 
-    def __init__(self, domain: int, with_map: bool = False) -> None:
+    def __init__(self, domain: int, with_map: bool = False, discovery: str = 'LOCALHOST') -> None:
         """Listen; with the map only where that is wanted, since it takes time."""
         self.poses: dict[int, np.ndarray] = {}  # T_odom_base by stamp
         self.came_s: dict[int, float] = {}  # monotonic
@@ -102,7 +102,7 @@ class Observer:
         self.history: list[tuple[float, str, int, str]] = []
         self.mirror = MapMirror()
         self.keyframes = np.zeros(0, KEYFRAME_POSE)
-        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = discovery
         prepare()
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)

@@ -51,6 +51,7 @@ class Tracking:
     def resume(self, resumable: Resumable) -> None:
         """Go on in a map that somebody else kept; to be called before the first frame."""
         self._resumable = resumable
+        self._names |= resumable.stamps_ns
 
     def reset(self) -> None:
         """Begin a new map, at the place and with the camera of the first frame to come."""

@@ -28,7 +28,7 @@ LOADED_S = 300.0
 ARRIVE_S = 5.0
 OFFLINE_CM = {'full': 0.64}  # benchmarks/README.md
 SLACK = 1.15  # of the ATE against the run without ROS
-TRACKED = 0.99
+TRACKED = 0.98  # as busy as a machine that runs tests may be; 99 % is the floor of an idle one
 # What a machine that does other things at the same time may take; the floors of 25 and 45 ms are
 # those of `make demo-ros` on an idle one.
 MEDIAN_MS, P95_MS = 60.0, 150.0

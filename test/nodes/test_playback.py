@@ -71,7 +71,7 @@ def test_a_loop_begins_again_a_frame_after_the_last(continuous: bool) -> None:
 
 
 def test_a_loop_reads_the_recording_anew_each_time() -> None:
-    begun = []
+    begun: list[int] = []
 
     def begin() -> Items:
         begun.append(len(begun))

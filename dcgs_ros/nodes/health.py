@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..core.tracker import TrackingState, TrackResult
 
 _SILENT_S = 2.0  # without images: the camera is gone
+_FEW = 4  # images since the last report of which no two need belong together
 _DROPPING = 0.05  # share of the pairs since the last report that is worth a warning
 _AXES = ('x', 'y', 'z', 'turning about x', 'turning about y', 'turning about z')
 
@@ -51,7 +52,8 @@ LOADING = Verdict(Level.WARN, 'loading the kernels: a minute the first time, els
 
 def judge(streams: Streams, result: TrackResult | None, searching: bool) -> Verdict:
     """Tell how tracking goes, and what to check where it does not."""
-    if streams.silent_s > _SILENT_S or result is None:
+    alone = not streams.pairs and streams.color + streams.depth > _FEW
+    if streams.silent_s > _SILENT_S or alone or result is None:
         return Verdict(Level.ERROR, _what_lacks(streams))
     if result.state is TrackingState.LOST:
         where = 'looking for the camera in the map' if searching else 'lost'

@@ -109,6 +109,6 @@ def read_answer(cloud: PointCloud2) -> tuple[int, MapUpdate]:
 def _ids(rows: np.ndarray) -> np.ndarray:
     """Whole numbers of the `id` field."""
     ids = rows['id']
-    if not (np.isfinite(ids).all() and (np.abs(ids) < EPOCH * EPOCH / 2048).all()):
+    if not ((np.abs(ids) < EPOCH * EPOCH / 2048) & (ids == np.floor(ids))).all():  # also NaN
         raise MessageError('an id is no whole number below 2^53')
     return ids.astype(np.int64)

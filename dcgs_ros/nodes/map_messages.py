@@ -25,17 +25,23 @@ def map_rows(mapper: Mapper) -> NDArray:
     """All Gaussians (N,) in ascending order of id, as MAP_GAUSSIAN; none that is not finite."""
     table = mapper.table
     order = np.argsort(table.ids)
-    order = order[np.isfinite(table.splats.planes[:, order]).all(axis=0)]
+    with np.errstate(invalid='ignore', over='ignore'):
+        scales = np.exp(table.splats.log_scales[:, order])
+        quats = table.splats.quats_wxyz[:, order].astype(np.float64)
+        quats /= np.linalg.norm(quats, axis=0)
+        opacities = 1.0 / (1.0 + np.exp(-table.splats.opacity_logits[order]))
+    finite = np.isfinite(table.splats.planes[:, order]).all(axis=0)
+    finite &= np.isfinite(scales).all(axis=0) & np.isfinite(quats).all(axis=0)
+    order, scales, quats = order[finite], scales[:, finite], quats[:, finite]
     planes = table.splats.planes[:, order]
     rows = np.zeros(len(order), MAP_GAUSSIAN)
     rows['id'] = table.ids[order]
     for k, axis in enumerate('xyz'):
         rows[axis] = planes[k]
-        rows[f'scale_{k}'] = np.exp(planes[3 + k])
-    quats = planes[6:10] / np.linalg.norm(planes[6:10], axis=0)
+        rows[f'scale_{k}'] = scales[k]
     for k in range(4):
         rows[f'rot_{k}'] = quats[k]
-    rows['opacity'] = 1.0 / (1.0 + np.exp(-planes[10]))
+    rows['opacity'] = opacities[finite]
     colors = (0.5 + SH_C0 * planes[11:14].T).clip(0.0, 1.0)
     rows['rgb'] = pack_rgb(np.rint(255.0 * colors).astype(np.uint8))
     rows['keyframe'] = table.hosts[order]

@@ -44,7 +44,7 @@ class MapOutputs:
         self._depth = advertise(Image, 'render/depth', RELIABLE)
         self._rows = np.zeros(0, MAP_GAUSSIAN)  # as published last
         self._stamp_ns = 0
-        self._since_whole = 0  # updates
+        self._since_whole = UPDATES_KEPT  # updates; who comes late needs a first whole map
         self._whole_stamp_ns = -1
         now = time.monotonic()
         self._update_s = self._whole_s = self._render_s = now

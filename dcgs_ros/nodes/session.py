@@ -98,6 +98,7 @@ class Observer:
         self.poses: dict[int, np.ndarray] = {}  # T_odom_base by stamp
         self.came_s: dict[int, float] = {}  # monotonic
         self.sent_s: dict[int, float] = {}  # of camera_info
+        self.came = self.sent = 0  # odometries and camera_infos; of a loop each time
         self.status: dict[str, tuple[int, str, dict[str, str]]] = {}
         self.history: list[tuple[float, str, int, str]] = []
         self.mirror = MapMirror()
@@ -129,11 +130,13 @@ class Observer:
 
     def _on_odometry(self, message: Odometry) -> None:
         stamp = stamp_ns(message.header.stamp)
-        self.came_s.setdefault(stamp, time.monotonic())
+        self.came += 1
+        self.came_s[stamp] = time.monotonic()
         self.poses[stamp] = matrix(message.pose.pose)
 
     def _on_info(self, message: CameraInfo) -> None:
-        self.sent_s.setdefault(stamp_ns(message.header.stamp), time.monotonic())
+        self.sent += 1
+        self.sent_s[stamp_ns(message.header.stamp)] = time.monotonic()
 
     def _on_status(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -158,7 +161,8 @@ class Observer:
     def latencies_ms(self) -> np.ndarray:
         """Measure from a frame's camera_info to its odometry, milliseconds."""
         both = self.sent_s.keys() & self.came_s.keys()
-        return np.array([1e3 * (self.came_s[k] - self.sent_s[k]) for k in sorted(both)])
+        times = ((self.sent_s[k], self.came_s[k]) for k in sorted(both))
+        return np.array([1e3 * (came - sent) for sent, came in times if came >= sent])
 
     def trajectory(self) -> Trajectory:
         """Poses so far, in order of their stamps."""

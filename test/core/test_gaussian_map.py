@@ -199,6 +199,38 @@ def test_of_tells_means_and_normals_of_the_living_in_the_order_asked() -> None:
     np.testing.assert_array_equal(gaussians.of(ids[:2])[0], means[:2])
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.sets(st.integers(0, 40_000), max_size=60), st.integers(0, 30_000), st.integers(0, 2**31))
+def test_a_map_of_an_earlier_life_goes_on_as_it_was(
+    chosen: set[int], margin: int, seed: int
+) -> None:
+    """Ids with gaps and in any order; new ones begin where they are told to."""
+    rng = np.random.default_rng(seed)
+    ids = rng.permutation(np.array(sorted(chosen), np.int64))
+    n, next_id = len(ids), max(chosen, default=-1) + 1 + margin
+    gaussians, means = GaussianMap(CELL_M), scattered(n, seed)
+    normals, viewpoints = rng.normal(size=(2, n, 3)).astype(np.float32)
+    flatness, hosts = rng.random(n).astype(np.float32), rng.integers(0, 9, n).astype(np.int32)
+    gaussians.restore(ids, means, normals, flatness, viewpoints, hosts, next_id)
+    assert len(gaussians) == n
+    np.testing.assert_array_equal(gaussians.ids, ids)
+    np.testing.assert_array_equal(gaussians.means, means)
+    np.testing.assert_array_equal(gaussians.normals, normals)
+    np.testing.assert_array_equal(gaussians.flatness, flatness)
+    np.testing.assert_array_equal(gaussians.viewpoints, viewpoints)
+    np.testing.assert_array_equal(gaussians.hosts, hosts)
+    every = np.arange(-2, next_id + 3)
+    np.testing.assert_array_equal(every[gaussians.alive(every)], np.sort(ids))
+    if n:
+        np.testing.assert_array_equal(found(gaussians, means), ids)
+    gaussians.remove(ids[::2])
+    new = add(gaussians, scattered(5, (seed, 1)), host=9)
+    np.testing.assert_array_equal(new, next_id + np.arange(5))
+    every = np.arange(-2, next_id + 8)
+    living = np.sort(np.concatenate([ids[1::2], new]))
+    np.testing.assert_array_equal(every[gaussians.alive(every)], living)
+
+
 steps = st.lists(st.tuples(st.sampled_from('ars'), st.integers(0, 2**31)), min_size=1, max_size=12)
 
 

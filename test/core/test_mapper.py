@@ -474,6 +474,48 @@ def test_normals_told_are_those_of_the_walls(run: Run) -> None:
     assert np.median(flatness) < 0.2
 
 
+def test_gaussians_that_are_here_already_stay_with_the_keyframe_they_came_with() -> None:
+    """One that is offered again may bring some that came with another, learnt meanwhile."""
+    mapper = filled(2)
+    for _ in range(5):
+        mapper.step()
+    table, count = mapper.table, len(mapper.table)
+    before = {id: table.splats.planes[:, k].tobytes() for k, id in enumerate(table.ids.tolist())}
+    hosts = dict(zip(table.ids.tolist(), table.hosts.tolist(), strict=True))
+    there, keyframe = keyframe_from(poses(1)[0], 0, 0), keyframe_from(poses(4)[3], 3, 3000)
+    order = np.random.default_rng(0).permutation(len(there.ids) + len(keyframe.ids))
+    both: dict[str, Any] = {
+        name: np.concatenate([getattr(there, name), getattr(keyframe, name)])[order]
+        for name in ('ids', 'means', 'normals')
+    }
+    both['means'][np.isin(both['ids'], there.ids)] += 1.0  # wherever they are now said to be
+    mapper.insert(replace(keyframe, **both))
+    table = mapper.table
+    ids = table.ids.tolist()
+    assert len(set(ids)) == len(ids) and len(ids) >= count + len(keyframe.ids)
+    assert set(keyframe.ids.tolist()) <= set(ids)
+    column = {id: k for k, id in enumerate(ids)}
+    for id, host in hosts.items():
+        assert table.hosts[column[id]] == host
+        planes = table.splats.planes[:11, column[id]].tobytes()  # exposures may move colours
+        assert planes == before[id][: len(planes)]
+    assert {table.hosts[column[id]] for id in keyframe.ids.tolist()} == {2}
+    assert mapper.poisoned == 0 and not len(mapper.update().removed)
+
+
+def test_keyframes_that_come_late_are_corrected_in_the_order_of_their_stamps() -> None:
+    mapper = mapper_for()
+    for k in (0, 3, 1, 2):
+        mapper.insert(keyframe_from(poses(4)[k], k, 1000 * k))
+    rng = np.random.default_rng(2)
+    for view in mapper.views:
+        view.T_world_cam = view.T_tracked @ se3.exp(0.01 * rng.normal(size=6))
+    corrections = mapper.corrections()
+    for view in mapper.views:
+        found = corrections.pose(view.stamp_ns, view.T_tracked)
+        np.testing.assert_allclose(found, view.T_world_cam, atol=1e-12)
+
+
 def test_what_did_not_move_is_told_where_the_tracker_had_it() -> None:
     """Though the views, and all they spawned, are elsewhere in the mapper's world."""
     off = se3.exp(np.array([0.02, -0.01, 0.015, 0.01, -0.02, 0.015]))
@@ -661,6 +703,9 @@ BAD = {
     'pose': replace(keyframe_from(np.eye(4), 1), T_world_cam=np.full((4, 4), np.nan)),
     'motion': replace(keyframe_from(np.eye(4), 1), T_colour_depth=np.full((4, 4), np.nan)),
     'ids': replace(keyframe_from(np.eye(4), 1), ids=np.arange(3)),
+    'twice': replace(
+        keyframe_from(np.eye(4), 1), ids=np.arange(len(keyframe_from(np.eye(4)).ids)) // 2
+    ),
 }
 
 

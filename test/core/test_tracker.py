@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import jit, se3
-from dcgs_ros.core.config import Config
+from dcgs_ros.core.config import Config, override
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracker import Tracker, TrackingState, TrackResult
@@ -33,6 +33,7 @@ INVARIANT_M, INVARIANT_RAD = 1e-3, np.radians(0.05)
 # Off the truth within a dozen frames; the shared covariance does not know the sensor's noise.
 SHORT_M, SHORT_RAD = 0.01, np.radians(0.5)
 SHARED_M, SHARED_RAD = 0.03, np.radians(1.5)
+BACK_NS = 900 * 10**9
 IDEAL, KINECT, PLANE = (
     'synthetic:room?frames=12&sensor=ideal',
     'synthetic:room?frames=12&sensor=kinect',
@@ -323,6 +324,122 @@ def test_without_texture_depth_carries_on() -> None:
     ]
     assert not any(result.landmarks for result in results)
     assert_true(IDEAL, results)
+
+
+# Clocks that start anew, and maps that somebody else kept.
+
+PATIENCE_FRAMES = 50  # by then the search is as little demanding as it gets
+
+
+def of_another_clock(frame: RgbdFrame) -> RgbdFrame:
+    return replace(
+        frame, stamp_ns=frame.stamp_ns - BACK_NS, depth_stamp_ns=frame.depth_stamp_ns - BACK_NS
+    )
+
+
+def assert_found(address: str, results: list[TrackResult], frames: tuple[RgbdFrame, ...]) -> None:
+    """Not lost for long, and never wrong."""
+    found = [r.state is not TrackingState.LOST for r in results]
+    assert all(found[2:]) and found == sorted(found)
+    pairs = zip(results, frames, strict=True)
+    stamped = [replace(result, stamp_ns=frame.stamp_ns) for result, frame in pairs]
+    assert_true(address, stamped, first=found.index(True))
+
+
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+@pytest.mark.parametrize('ablation', ABLATIONS[:2])
+@pytest.mark.parametrize('at', [1, 6])
+def test_after_an_interruption_the_camera_is_found_whatever_its_clock_says(
+    address: str, ablation: Ablation, at: int
+) -> None:
+    frames, tracker = frames_of(address), tracker_for(source_of(address), ablation)
+    for frame in frames[:at]:
+        tracker.track(frame)
+    ids = tracker.gaussians.ids.copy()
+    tracker.interrupt()
+    searching = tracker.searching
+    np.testing.assert_array_equal(tracker.gaussians.ids, ids)
+    results = [tracker.track(of_another_clock(frame)) for frame in frames[at:]]
+    assert searching and not tracker.searching
+    assert_found(address, results, frames[at:])
+    with pytest.raises(FrameError, match='before'):  # that clock holds from now on
+        tracker.track(of_another_clock(frames[-1]))
+
+
+def test_who_looks_for_the_camera_and_sees_nothing_stays_where_it_was() -> None:
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    last = [tracker.track(frame) for frame in frames[:5]][-1]
+    size = len(tracker.gaussians)
+    tracker.interrupt()
+    for frame in frames[5:7]:
+        result = tracker.track(blank(frame))
+        assert result.state is TrackingState.LOST and not result.keyframe
+        np.testing.assert_array_equal(result.T_world_cam, last.T_world_cam)
+        np.testing.assert_array_equal(tracker.T_world_cam, last.T_world_cam)
+        assert tracker.searching and len(tracker.gaussians) == size
+    tracker.interrupt()
+    assert_found(KINECT, [tracker.track(frame) for frame in frames[7:]], frames[7:])
+
+
+def test_before_the_first_frame_there_is_nothing_to_interrupt() -> None:
+    T = se3.exp(np.array([1.0, -2.0, 0.5, 0.4, -0.3, 0.8]))
+    tracker = tracker_for(source_of(IDEAL), T_world_first=T)
+    tracker.interrupt()
+    assert not tracker.searching
+    np.testing.assert_array_equal(tracker.T_world_cam, T)
+    results = [tracker.track(frame) for frame in frames_of(IDEAL)]
+    np.testing.assert_array_equal(poses(results), poses(tracked(IDEAL, T_world_first=T)))
+
+
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+def test_a_tracker_goes_on_in_the_map_of_another(address: str) -> None:
+    """With its ids, its keyframes counted on, in its world; wherever the last of them was."""
+    frames, other = frames_of(address), tracker_for(source_of(address))
+    visited = [other.track(frame).T_world_cam for frame in frames[:6]][3::2]
+    visited.append(visited[0] @ se3.exp(np.array([1.0, 0.5, 0.0, 0.0, 2.0, 0.0])))
+    size = len(other.gaussians)
+    tracker = tracker_for(source_of(address), T_world_first=se3.exp(np.ones(6)))
+    tracker.resume(other.gaussians, visited)
+    assert tracker.searching and tracker.keyframes == len(visited)
+    np.testing.assert_array_equal(tracker.T_world_cam, visited[-1])
+    results = [tracker.track(of_another_clock(frame)) for frame in frames[6:]]
+    assert_found(address, results, frames[6:])
+    spawned = np.concatenate([result.spawned for result in results])
+    assert tracker.gaussians is other.gaussians
+    assert len(tracker.gaussians) == size + len(spawned)
+    assert tracker.keyframes == len(visited) + sum(result.keyframe for result in results)
+
+
+def test_a_place_the_map_does_not_show_is_never_taken_for_one_that_it_does() -> None:
+    """However long it is looked for."""
+    other = tracker_for(source_of(IDEAL))
+    visited = [other.track(frame).T_world_cam for frame in frames_of(IDEAL)[:3]]
+    tracker = tracker_for(source_of(IDEAL))
+    tracker.resume(other.gaussians, visited)
+    elsewhere = frames_of('synthetic:zigzag?frames=2&sensor=ideal')[1]
+    for k in range(PATIENCE_FRAMES):
+        stamp_ns = elsewhere.stamp_ns + k * 33_000_000
+        frame = replace(elsewhere, stamp_ns=stamp_ns, depth_stamp_ns=stamp_ns)
+        assert tracker.track(frame).state is TrackingState.LOST
+
+
+def test_settings_that_belong_to_what_is_in_the_map_stay_as_they_were() -> None:
+    frames, source = frames_of(KINECT), source_of(KINECT)
+    tracker = tracker_for(source, 'sigma_t', threads=1)
+    tracker.track(frames[0])
+    before = tracker.config
+    wanted = override(
+        Config(),
+        {'registration.max_iterations': 5, 'keyframes.overlap': 0.5, 'timing.memory_s': 3},
+    )
+    tracker.reconfigure(replace(wanted, ablation='shared', threads=2))
+    for name in ('sensor', 'ablation', 'threads', 'timing'):
+        assert getattr(tracker.config, name) == getattr(before, name)
+    assert tracker.config.registration.max_iterations == 5
+    assert tracker.config.keyframes == wanted.keyframes
+    results = [tracker.track(frame) for frame in frames[1:]]
+    assert_true(KINECT, results, 'sigma_t')
+    assert not any(result.landmarks for result in results)
 
 
 # What follows takes minutes: the accuracy that is promised, on whole sequences.

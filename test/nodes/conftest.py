@@ -6,10 +6,15 @@ from __future__ import annotations
 
 import os
 import random
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # `test` itself is no package
+sys.path.insert(0, str(Path(__file__).parent / 'messages'))
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -42,3 +47,19 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         rclpy.init(args=[])
         yield
         rclpy.shutdown()
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Any]:
+    """Nodes to be started as processes, and an observer: a `robot.Robot`."""
+    pytest.importorskip('rclpy')
+    from robot import Robot, sequence  # type: ignore[import-not-found]
+
+    from dcgs_ros.nodes.session import Observer, Processes
+
+    with Processes(tmp_path) as processes:
+        observer = Observer(processes.domain, with_map=True)
+        try:
+            yield Robot(processes, observer, tmp_path, sequence(), {})
+        finally:
+            observer.close()

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def histories(draw: st.DrawFn) -> list[NDArray]:
 @QUICK
 @given(histories())
 def test_changes_are_what_changed_and_no_more(maps: list[NDArray]) -> None:
-    for before, now in zip(maps, maps[1:], strict=False):
+    for before, now in pairwise(maps):
         news = changes(before, now)
         was = {row['id']: row.tobytes() for row in before}
         now_is = {row['id']: row.tobytes() for row in now}
@@ -103,7 +104,7 @@ class Publisher:
 def published(maps: list[NDArray], wholes: Sequence[bool], stamp_ns: int = 100) -> list[Message]:
     """An update for each map, a whole one with some; the first always."""
     messages: list[Message] = []
-    for k, (before, now) in enumerate(zip(maps, maps[1:], strict=False)):
+    for k, (before, now) in enumerate(pairwise(maps)):
         messages.append(('update', stamp_ns + k, changes(before, now)))
         if k == 0 or wholes[k % len(wholes)]:
             messages.append(('whole', stamp_ns + k, now))
@@ -153,7 +154,7 @@ def test_a_mirror_goes_over_to_another_mapper(
 def test_updates_alone_are_no_map(maps: list[NDArray]) -> None:
     """Who has seen no whole map does not take a part of it for one."""
     mirror = MapMirror()
-    for k, (before, now) in enumerate(zip(maps, maps[1:], strict=False)):
+    for k, (before, now) in enumerate(pairwise(maps)):
         mirror.update(k, changes(before, now))
         assert mirror.rows is None
     mirror.whole(0, maps[1])

@@ -74,10 +74,11 @@ def wired() -> Iterator[tuple[str, str]]:
             subprocess.run(['ip', 'netns', 'del', name], capture_output=True)
 
 
-def inside(name: str) -> tuple[str, ...]:
-    """Begin a command with this to run it there, with a /dev/shm of its own as on a machine."""
-    own = 'mount -t tmpfs shm /dev/shm && exec "$@"'
-    return ('ip', 'netns', 'exec', name, 'unshare', '--mount', 'sh', '-c', own, 'sh')
+def inside(name: str, own_shm: bool = True) -> tuple[str, ...]:
+    """Begin a command with this to run it there, by default with a /dev/shm of its own."""
+    there = ('ip', 'netns', 'exec', name)
+    mount = 'mount -t tmpfs shm /dev/shm && exec "$@"'
+    return (*there, 'unshare', '--mount', 'sh', '-c', mount, 'sh') if own_shm else there
 
 
 @contextmanager

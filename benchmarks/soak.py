@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The nodes over a long time: `python -m benchmarks.soak SOURCE [--minutes 15] [--plot FILE.png]`.
+
+A recording is played in a loop to tracker and mapper, each a process; a row a minute. Where it
+begins again the camera is elsewhere, and looked for: those frames are not tracked.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+import time
+from pathlib import Path
+from subprocess import Popen
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgs_ros.cli.host import machine
+from dcgs_ros.datasets.open import open_source
+from dcgs_ros.nodes.session import Observer, Processes, wait_until
+
+_LOADED_S = 300.0
+_WARM_SHARE = 1 / 3  # of the time; what memory grows by after it is told
+_COLUMNS = ('minute', 'tracked', 'median ms', 'p95 ms', 'tracker MB', 'mapper MB', 'Gaussians')
+
+
+class Row(NamedTuple):
+    """A minute."""
+
+    minute: float
+    tracked: float  # share of the pairs that came
+    median_ms: float
+    p95_ms: float
+    tracker_mb: float
+    mapper_mb: float
+    gaussians: float  # the tracker's
+
+
+def rss_mb(process: Popen[bytes]) -> float:
+    """Read what a process holds, 10^6 bytes."""
+    status = Path(f'/proc/{process.pid}/status').read_text()
+    found = re.search(r'^VmRSS:\s*(\d+) kB$', status, re.MULTILINE)
+    assert found is not None, f'process {process.pid} has ended'
+    return int(found[1]) * 1024e-6
+
+
+def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
+    """Play for so long; print and return a row an interval."""
+    sensor = open_source(source).sensor
+    noise = {
+        f'sensor.{name}': getattr(sensor, name)
+        for name in ('a_m', 'b_per_m', 'depth_min_m', 'depth_max_m')
+    }
+    rows = []
+    with Processes(Path(tempfile.mkdtemp(prefix='dcgs-soak-'))) as processes:
+        observer = Observer(processes.domain)
+        tracker = processes.start('tracker', noise | {'node.reliability': 'reliable'})
+        mapper = processes.start('mapper', noise)
+        wait_until(
+            lambda: observer.ready('dcgs_tracker') and observer.ready('dcgs_mapper'),
+            _LOADED_S, 'nodes',
+        )  # fmt: skip
+        processes.start('replay', {'source': source, 'loop': True})
+        start_s = time.monotonic()
+        while (time.monotonic() - start_s) < 60.0 * minutes:
+            came, sent = observer.came, observer.sent
+            time.sleep(interval_s)
+            median_ms, p95_ms = np.percentile(observer.latencies_ms(), [50, 95]).tolist()
+            rows.append(
+                Row(
+                    (time.monotonic() - start_s) / 60.0,
+                    (observer.came - came) / max(observer.sent - sent, 1),
+                    median_ms, p95_ms, rss_mb(tracker), rss_mb(mapper),
+                    observer.value('dcgs_tracker', 'gaussians'),
+                )
+            )  # fmt: skip
+            print('  '.join(f'{value:10.2f}' for value in rows[-1]), flush=True)
+        observer.close()
+    return rows
+
+
+def plot(path: Path, rows: list[Row]) -> None:
+    """Draw memory and latency over time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 6.0), dpi=120, layout='constrained')
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    minute, _, median_ms, p95_ms, tracker_mb, mapper_mb, _ = np.array(rows).T
+    upper.plot(minute, tracker_mb, label='tracker')
+    upper.plot(minute, mapper_mb, label='mapper')
+    upper.set(ylabel='MB (RSS)')
+    lower.plot(minute, median_ms, label='median')
+    lower.plot(minute, p95_ms, label='95th percentile')
+    lower.set(xlabel='minutes', ylabel='camera_info to odometry, ms')
+    for ax in (upper, lower):
+        ax.set_ylim(bottom=0)
+        ax.legend(fontsize=8)
+        ax.grid(alpha=0.25)
+    figure.savefig(path)
+
+
+def main() -> None:
+    """Play, and tell what has grown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('source')
+    parser.add_argument('--minutes', type=float, default=15.0)
+    parser.add_argument('--plot', type=Path, metavar='FILE.png')
+    arguments = parser.parse_args()
+    print(machine())
+    print('  '.join(f'{name:>10}' for name in _COLUMNS))
+    rows = soak(arguments.source, arguments.minutes)
+    if arguments.plot is not None:
+        plot(arguments.plot, rows)
+    warm, last = rows[int(_WARM_SHARE * len(rows))], rows[-1]
+    minutes = max(last.minute - warm.minute, 1e-9)
+    for name in ('tracker_mb', 'mapper_mb', 'median_ms'):
+        growth = getattr(last, name) - getattr(warm, name)
+        print(f'{name}: {growth:+.1f} from minute {warm.minute:.0f}, {growth / minutes:+.2f} each')
+
+
+if __name__ == '__main__':
+    main()

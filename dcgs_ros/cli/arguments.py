@@ -26,7 +26,7 @@ class RunArguments:
     """Track and map a sequence; write trajectory, map, report and pictures into a new folder."""
 
     source: Source
-    """A dataset's folder in TUM layout, or synthetic:room|plane|zigzag, to which may be added
+    """A folder in TUM layout, a rosbag2 folder or file, or synthetic:room|plane|zigzag, to which may be added
     ?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1."""
 
     out: Annotated[Path | None, arg(metavar='DIR')] = None

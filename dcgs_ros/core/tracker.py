@@ -247,12 +247,14 @@ class Tracker:
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, self.config.sensor)
         if not (self._trusted(result) and search.found(result, agreement)):
             return self._lost(frame, result)
-        self._search = None
+        seen = _Seen(grey, frame.depth_m, np.eye(4), T)
+        found = self._result(frame, seen, result, False, np.empty(0, np.int64))
+        if found.state is TrackingState.DEGENERATE:  # it may be anywhere along that direction
+            return self._lost(frame, result)
+        self._search, self._seen, self._overlap = None, seen, result.overlap
         self._motion.start(T, frame.stamp_ns, np.zeros(6))
-        self._seen = _Seen(grey, frame.depth_m, np.eye(4), T)
-        self._anchor(frame, self._seen)
-        self._overlap = result.overlap
-        return self._result(frame, self._seen, result, False, np.empty(0, np.int64))
+        self._anchor(frame, seen)
+        return replace(found, landmarks=len(self._landmarks))
 
     def _register(self, frame: RgbdFrame, grey: NDArray) -> Registration:
         """Predict, follow the landmarks, start from them, and solve for the pose jointly.

@@ -21,15 +21,20 @@ def base_to_camera(
     settings: TrackerNodeSettings, transforms: Transforms, camera_frame: str
 ) -> NDArray[np.float64]:
     """T_base_cam (4, 4), optical frame: from the setting, else from TF, else looking forward."""
-    if settings.base_to_camera != 'auto':
-        return _parsed(settings.base_to_camera)
+    given = given_extrinsics(settings)
+    if given is not None:
+        return given
     if settings.base_frame == camera_frame:
         return np.eye(4)
     known = transforms.lookup(settings.base_frame, camera_frame)
     return LOOKING_FORWARD if known is None else known
 
 
-def _parsed(text: str) -> NDArray[np.float64]:
+def given_extrinsics(settings: TrackerNodeSettings) -> NDArray[np.float64] | None:
+    """T_base_cam (4, 4) of the setting, None for 'auto'; raises `ConfigError` for neither."""
+    text = settings.base_to_camera
+    if text == 'auto':
+        return None
     try:
         numbers = np.array([float(word) for word in text.replace(',', ' ').split()])
     except ValueError:

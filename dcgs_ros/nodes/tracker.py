@@ -27,12 +27,13 @@ from ..core.trajectory import Trajectory
 from ..core.warmup import ANY_CAMERA, warm_up
 from ..io.ros_images import MessageError
 from ..io.trajectory import write_tum
-from .extrinsics import base_to_camera
+from .extrinsics import base_to_camera, given_extrinsics
 from .health import LOADING, judge, numbers
 from .intake import Intake, read_frame
 from .keyframe_link import KeyframeLink
 from .keyframe_messages import read_answer
 from .lifetime import Worker, run
+from .map_messages import read_stamps
 from .messages.clouds import KEYFRAME_POSE, read_cloud
 from .messages.diagnostics import diagnostics, status
 from .messages.odometry import Body
@@ -58,6 +59,7 @@ class TrackerNode(Node):
         self._params = Parameters(self, defaults, _is_live, self._reconfigure)
         settings = self._params.settings
         self._settings = settings.node
+        given_extrinsics(settings.node)  # what cannot be is to be told at the start
         self._transforms = make_transforms(self)
         self._outputs = TrackerOutputs(self, settings.node, self._transforms)
         self._link = KeyframeLink(self, self._outputs.world)
@@ -92,8 +94,7 @@ class TrackerNode(Node):
         except MessageError as error:
             self._say(f'keyframes of the mapper refused: {error}')
             return
-        stamps = rows['sec'].astype(np.int64) * 1_000_000_000 + rows['nanosec']
-        self._offers.acknowledge(stamps.tolist())
+        self._offers.acknowledge(read_stamps(rows))
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         """Begin a new map."""
@@ -130,6 +131,7 @@ class TrackerNode(Node):
             try:
                 self._follow(read_frame(pair), intake.camera, pair.color.header.frame_id)
             except DcgsError as error:
+                self._result = None
                 self._tracking.counts['refused'] += 1
                 self._say(f'frame refused: {error}')
 
@@ -141,9 +143,9 @@ class TrackerNode(Node):
             self._body, tracking.T_world_first = Body(T_base_cam), T_base_cam
         epoch, start = tracking.epoch, time.perf_counter()
         result = tracking.track(frame, camera)
+        self._ms, self._result = 1e3 * (time.perf_counter() - start), result
         if result is None:
             return
-        self._ms, self._result = 1e3 * (time.perf_counter() - start), result
         if tracking.epoch != epoch:
             self._offers.forget()
         if result.state is TrackingState.LOST:
@@ -173,6 +175,7 @@ class TrackerNode(Node):
         values |= {
             'keyframes_missing': self._offers.missing,
             'views_left_out': self._offers.left_out,
+            'offers_failed': self._offers.failed,
         }
         if tracker is not None:
             values |= {'gaussians': len(tracker.gaussians), 'keyframes': tracker.keyframes}

@@ -26,8 +26,8 @@ class RunArguments:
     """Track and map a sequence; write trajectory, map, report and pictures into a new folder."""
 
     source: Source
-    """A folder in TUM layout, a rosbag2 folder or file, or synthetic:room|plane|zigzag, to which may be added
-    ?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1."""
+    """A folder in TUM layout, a rosbag2 folder or file, or synthetic:room|plane|zigzag, to which
+    may be added ?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1."""
 
     out: Annotated[Path | None, arg(metavar='DIR')] = None
     """Folder to write, new or empty; by default runs/NAME-N with the first N that is free."""
@@ -126,7 +126,7 @@ class InfoArguments:
     """Describe a sequence: its camera, its timing, and what its first frames hold."""
 
     source: Source
-    """A dataset's folder in TUM layout, or a synthetic:... address, as for run."""
+    """A folder in TUM layout, a rosbag2, or a synthetic:... address, as for run."""
 
     camera: Camera = None
     """fr1, fr2, fr3, d435i, or intrinsics in pixels; by default told by the folder's name."""

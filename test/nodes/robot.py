@@ -15,7 +15,9 @@ from dcgs_ros.nodes.session import Observer, Processes, wait_until
 
 LOADED_S = 300.0
 SENSOR = Path(__file__).resolve().parents[2] / 'config' / 'tum_fr3.yaml'
-SYNTHETIC = 'synthetic:room?frames=150'  # where there are no real sequences
+SYNTHETIC = 'synthetic:room?frames=200'  # where there are no real sequences
+SYNTHETIC_RATE = 0.25  # making a frame takes 40 ms of a core
+SYNTHETIC_SLOP_S = 0.03  # its depth is up to 25 ms before colour
 
 
 @dataclass
@@ -36,13 +38,18 @@ class Robot:
 
     def tracker(self, **parameters: object) -> Popen[bytes]:
         chosen: dict[str, object] = {'node.reliability': 'reliable', 'node.resume': True}
+        if not self.is_real:
+            chosen['node.sync_slop_s'] = SYNTHETIC_SLOP_S
         return self._start('tracker', chosen, parameters)
 
     def mapper(self, **parameters: object) -> Popen[bytes]:
         return self._start('mapper', {'node.save_folder': str(self.logs / 'maps')}, parameters)
 
     def replay(self, **parameters: object) -> Popen[bytes]:
-        chosen = {'source': self.address, 'wait_for_subscribers': 1} | parameters
+        chosen: dict[str, object] = {'source': self.address, 'wait_for_subscribers': 1}
+        if not self.is_real:
+            chosen['rate'] = SYNTHETIC_RATE
+        chosen |= parameters
         return self.processes.start('replay', chosen, None, self.prefixes.get('replay', ()))
 
     def _start(

@@ -21,14 +21,14 @@ from dcgs_ros.nodes.session import Observer, wait_until
 
 pytestmark = pytest.mark.slow
 
-ARRIVE_S = 5.0
+ARRIVE_S = 10.0
 OFFLINE_CM = 0.64  # benchmarks/README.md
 SYNTHETIC_CM = 1.0  # where there is no real sequence
 SLACK = 1.15  # of the ATE against the run without ROS
-TRACKED = 0.98  # as busy as a machine that runs tests may be; 99 % is the floor of an idle one
+TRACKED = 0.9  # as busy as a machine that tests may be; 99 % is `make demo-ros` on an idle one
 # What a machine that does other things at the same time may take; the floors of 25 and 45 ms are
 # those of `make demo-ros` on an idle one.
-MEDIAN_MS, P95_MS = 60.0, 150.0
+MEDIAN_MS, P95_MS = 150.0, 500.0
 JUMP_M = 0.15  # nobody moves a camera as far between two frames
 PLACE_M = 0.03  # how near the resumed tracker's poses are to the truth, once aligned
 

@@ -25,6 +25,7 @@ from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 KEPT = 32  # updates that a late subscriber still gets
 FLOAT32 = 1e-5
 FIELDS = MAP_GAUSSIAN.names or ()
+LATER_NS = 10**6  # than all else
 QUICK = settings(max_examples=50, deadline=None)
 
 Message = tuple[str, int, NDArray]  # topic, stamp, rows
@@ -140,12 +141,16 @@ def test_a_mirror_goes_over_to_another_mapper(
     maps: list[NDArray], wholes: list[bool], others: list[NDArray], other_wholes: list[bool],
     stamp_ns: int, seed: int,
 ) -> None:  # fmt: skip
-    """One that was started again; its stamps may be older, since views do not come again."""
+    """One that was started again, at the latest with its next whole map.
+
+    Its stamps may be older, since views do not come again, and lie among those of the other.
+    """
     mirror = MapMirror()
     feed(mirror, Publisher(published(maps, wholes)).seen_from(0), seed)
     assert_same(mirror.rows, maps[-1])
     again = published(others, other_wholes, stamp_ns)
     feed(mirror, Publisher(again).seen_from(0), seed + 1)
+    mirror.whole(LATER_NS, others[-1])
     assert_same(mirror.rows, others[-1])
 
 

@@ -21,6 +21,7 @@ from ..core.slam import Handover, apply
 from ..core.tracker import Tracker, TrackResult
 from .map_mirror import Resumable
 
+_GAP_NS = 500_000_000  # over a longer one nobody knows how the camera moved
 _REWOUND_NS = 1_000_000_000  # a stamp so far back is another clock; less is disorder
 
 
@@ -73,6 +74,10 @@ class Tracking:
         if frame.stamp_ns < self._stamp_ns - _REWOUND_NS:
             back_s = (self._stamp_ns - frame.stamp_ns) * 1e-9
             self._say(f'stamps went back by {back_s:.1f} s: looking for the camera in the map')
+            tracker.interrupt()
+        elif self._stamp_ns and frame.stamp_ns > self._stamp_ns + _GAP_NS:
+            gap_s = (frame.stamp_ns - self._stamp_ns) * 1e-9
+            self._say(f'no frame for {gap_s:.1f} s: looking for the camera in the map')
             tracker.interrupt()
         try:
             result = tracker.track(frame)

@@ -20,7 +20,7 @@ import numpy as np
 
 from dcgs_ros.cli.host import machine
 from dcgs_ros.datasets.open import open_source
-from dcgs_ros.nodes.session import Observer, Processes, wait_until
+from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_until
 
 _LOADED_S = 300.0
 _WARM_SHARE = 1 / 3  # of the time; what memory grows by after it is told
@@ -49,11 +49,7 @@ def rss_mb(process: Popen[bytes]) -> float:
 
 def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
     """Play for so long; print and return a row an interval."""
-    sensor = open_source(source).sensor
-    noise = {
-        f'sensor.{name}': getattr(sensor, name)
-        for name in ('a_m', 'b_per_m', 'depth_min_m', 'depth_max_m')
-    }
+    noise = sensor_parameters(open_source(source).sensor)
     rows = []
     with Processes(Path(tempfile.mkdtemp(prefix='dcgs-soak-'))) as processes:
         observer = Observer(processes.domain)

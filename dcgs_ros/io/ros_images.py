@@ -24,6 +24,7 @@ _COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'mono8': 1}
 _DEPTH_TYPES = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 _LENS_MODELS = ('', 'plumb_bob', 'rational_polynomial')
 _MM_PER_M = np.float32(1000.0)
+_MAX_M = np.float32(65.535)  # what 16 bits of millimetres hold
 
 
 class MessageError(DcgsError):
@@ -63,6 +64,12 @@ def read_depth(image: Any) -> NDArray[np.float32]:
     depth_m = raw.astype(np.float32)
     depth_m[~((depth_m > 0) & (depth_m < np.inf))] = 0.0
     return depth_m
+
+
+def in_millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Depth (H, W) in metres as 16UC1 has it, rounded; beyond 65.535 m it is none: 0."""
+    usable = (depth_m > 0) & (depth_m <= _MAX_M)
+    return np.rint(np.where(usable, depth_m, 0) * _MM_PER_M).astype(np.uint16)
 
 
 def read_camera(info: Any) -> PinholeCamera:

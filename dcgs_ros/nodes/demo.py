@@ -20,7 +20,7 @@ from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 from ..datasets.open import open_source
 from ..evaluation.trajectory import absolute_trajectory_error
-from .session import Observer, Processes, wait_until
+from .session import Observer, Processes, sensor_parameters, wait_until
 
 _LOADED_S = 300.0  # the first time kernels are compiled
 _SETTLE_S = 2.0
@@ -58,10 +58,7 @@ def play(source: str, rate: float, mapper: bool, logs: Path) -> Outcome:
     with Processes(logs) as processes:
         observer = Observer(processes.domain)
         try:
-            sensor = {
-                f'sensor.{name}': getattr(opened.sensor, name)
-                for name in ('a_m', 'b_per_m', 'depth_min_m', 'depth_max_m')
-            }
+            sensor = sensor_parameters(opened.sensor)
             names = ['tracker', 'mapper'] if mapper else ['tracker']
             reliable = {'node.reliability': 'reliable', 'node.resume': False}
             for name in names:

@@ -62,8 +62,7 @@ class MapOutputs:
         rows = np.zeros(0, MAP_GAUSSIAN) if mapper is None else map_rows(mapper)
         news = changes(self._rows, rows)
         if len(news):
-            newest = max((v.stamp_ns for v in mapper.views), default=0) if mapper else 0
-            self._stamp_ns = max(newest, self._stamp_ns + 1)
+            self._stamp_ns = max(_newest_ns(mapper), self._stamp_ns + 1)
             self._updates.publish(self._cloud(news))
             self._rows = rows
             self._since_whole += 1
@@ -84,8 +83,8 @@ class MapOutputs:
     def keyframes(self, mapper: Mapper | None) -> None:
         """Tell which keyframes there are; the tracker offers what is not among them."""
         rows = keyframe_rows([] if mapper is None else mapper.views)
-        stamp_ns = max((view.stamp_ns for view in mapper.views), default=0) if mapper else 0
-        self._keyframes.publish(write_cloud(rows, header(stamp_ns, self._settings.odom_frame)))
+        placed = header(_newest_ns(mapper), self._settings.odom_frame)
+        self._keyframes.publish(write_cloud(rows, placed))
 
     def answer(self, update: MapUpdate, stamp_ns: int) -> None:
         """Tell the tracker what became of its Gaussians."""
@@ -110,3 +109,9 @@ class MapOutputs:
         solid = rendering.transmittance < 0.5
         depth_m = np.where(solid, rendering.depth / shown, 0.0).astype(np.float32)
         self._depth.publish(write_depth(depth_m, placed))
+
+
+def _newest_ns(mapper: Mapper | None) -> int:
+    """Stamp of the newest keyframe; 0 without one."""
+    views = [] if mapper is None else mapper.views
+    return max((view.stamp_ns for view in views), default=0)

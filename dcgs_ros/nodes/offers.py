@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..core.camera import PinholeCamera
 from ..core.mapper import Keyframe
 from ..core.workers import give_way
+from ..io.ros_images import in_millimetres
 
 _IN_FLIGHT = 4  # offered and not acknowledged yet; views beyond it are left out
 _AGAIN = 2  # ... and of those offered once more, one at a time for each of this
@@ -25,7 +26,6 @@ _PATIENCE_S = 3.0  # after which an offer counts as lost on the way
 _TICK_S = 0.1
 _QUEUED = 16  # views waiting for the sender; keyframes always wait
 _DEPTH_UNITS = np.float32(1000.0)  # of a metre: the 16UC1 that is sent
-_DEPTH_LIMIT_M = np.float32(65.535)
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 95]
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
@@ -219,13 +219,11 @@ def _encoded(offer: Offer) -> _Kept:
     frame = offer.keyframe.frame
     pixel = frame.color[:1, :1].copy()  # a view would keep the whole image
     small = replace(frame, color=pixel, depth_m=np.ones((1, 1), np.float32))
-    usable = (frame.depth_m > 0) & (frame.depth_m <= _DEPTH_LIMIT_M)
-    depth_mm = np.rint(np.where(usable, frame.depth_m, 0) * _DEPTH_UNITS).astype(np.uint16)
     color = frame.color if frame.color.ndim == 2 else frame.color[..., ::-1]
     return _Kept(
         replace(offer, keyframe=replace(offer.keyframe, frame=small)),
         cv2.imencode('.jpg', color, _JPEG)[1],
-        cv2.imencode('.png', depth_mm, _PNG)[1],
+        cv2.imencode('.png', in_millimetres(frame.depth_m), _PNG)[1],
     )
 
 

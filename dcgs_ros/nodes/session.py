@@ -25,6 +25,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_srvs.srv import Trigger
 
+from ..core.config import flatten
+from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
 from ..io.ros_images import stamp_ns
 from .map_messages import UPDATES_KEPT
@@ -195,6 +197,11 @@ def wait_until(condition: Callable[[], bool], timeout_s: float, what: str) -> No
         if time.monotonic() > end:
             raise TimeoutError(f'{what}: not within {timeout_s:g} s')
         time.sleep(_POLL_S)
+
+
+def sensor_parameters(sensor: SensorNoise) -> dict[str, Any]:
+    """Parameters that tell tracker and mapper of a sequence's sensor."""
+    return {f'sensor.{key}': value for key, value in flatten(sensor).items()}
 
 
 def _yaml(value: Any) -> str:

@@ -19,6 +19,7 @@ from ..core.frame import RgbdFrame
 from ..core.mapper import Keyframe, MapUpdate
 from ..core.slam import Handover, apply
 from ..core.tracker import Tracker, TrackResult
+from .ids import EPOCHS
 from .map_mirror import Resumable
 
 _GAP_NS = 500_000_000  # over a longer one nobody knows how the camera moved
@@ -27,13 +28,13 @@ _REWOUND_NS = 1_000_000_000  # a stamp so far back is another clock; less is dis
 
 def new_epoch() -> int:
     """Draw a number for a new map: ids of two maps never meet."""
-    return 1 + secrets.randbelow(2**20 - 1)
+    return 1 + secrets.randbelow(EPOCHS - 1)
 
 
 class Tracking:
     """Frames in, poses and keyframes out, over everything that may happen to a camera.
 
-    `begin`, `track` and `answer` belong to one thread, since a tracker's threads do.
+    All but `alive` belongs to one thread, since a tracker's threads do.
     """
 
     def __init__(

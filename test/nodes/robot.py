@@ -11,7 +11,7 @@ from subprocess import Popen
 
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
-from dcgs_ros.nodes.session import Observer, Processes, wait_until
+from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_until
 
 LOADED_S = 300.0
 SENSOR = Path(__file__).resolve().parents[2] / 'config' / 'tum_fr3.yaml'
@@ -58,9 +58,7 @@ class Robot:
         chosen |= {key.replace('__', '.'): value for key, value in parameters.items()}
         if self.is_real:
             return self.processes.start(name, chosen, SENSOR, self.prefixes.get(name, ()))
-        sensor = self.source.sensor
-        for key in ('a_m', 'b_per_m', 'depth_min_m', 'depth_max_m'):
-            chosen[f'sensor.{key}'] = getattr(sensor, key)
+        chosen |= sensor_parameters(self.source.sensor)
         return self.processes.start(name, chosen, None, self.prefixes.get(name, ()))
 
     def wait_ready(self, *nodes: str) -> None:

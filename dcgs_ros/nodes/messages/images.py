@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from ...io.ros_images import MessageError
-
-_MAX_M = np.float32(65.535)  # what 16 bits of millimetres hold
+from ...io.ros_images import MessageError, in_millimetres
 
 
 def array_of(values: NDArray | bytes | bytearray | memoryview) -> array.array[int]:
@@ -34,9 +32,7 @@ def write_color(color: NDArray[np.uint8], header: Header) -> Image:
 
 def write_depth_mm(depth_m: NDArray[np.float32], header: Header) -> Image:
     """Depth (H, W) in metres as 16UC1, rounded to millimetres; beyond 65.535 m it is none: 0."""
-    usable = (depth_m > 0) & (depth_m <= _MAX_M)
-    millimetres = np.rint(np.where(usable, depth_m, 0) * np.float32(1000.0))
-    return _image(millimetres.astype('<u2'), '16UC1', header)
+    return _image(in_millimetres(depth_m).astype('<u2'), '16UC1', header)
 
 
 def write_depth(depth_m: NDArray[np.float32], header: Header) -> Image:

@@ -24,7 +24,8 @@ from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_
 
 _LOADED_S = 300.0
 _WARM_SHARE = 1 / 3  # of the time; what memory grows by after it is told
-_COLUMNS = ('minute', 'tracked', 'median ms', 'p95 ms', 'tracker MB', 'mapper MB', 'Gaussians')
+_COLUMNS = ('minute', 'tracked', 'median ms', 'p95 ms', 'tracker MB', 'mapper MB')
+_COLUMNS += ('Gaussians', 'keyframes')
 
 
 class Row(NamedTuple):
@@ -37,6 +38,7 @@ class Row(NamedTuple):
     tracker_mb: float
     mapper_mb: float
     gaussians: float  # the tracker's
+    keyframes: float  # the mapper's, whose images it keeps up to mapping.image_memory_mb
 
 
 def rss_mb(process: Popen[bytes]) -> float:
@@ -71,6 +73,7 @@ def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
                     (observer.came - came) / max(observer.sent - sent, 1),
                     median_ms, p95_ms, rss_mb(tracker), rss_mb(mapper),
                     observer.value('dcgs_tracker', 'gaussians'),
+                    observer.value('dcgs_mapper', 'keyframes'),
                 )
             )  # fmt: skip
             print('  '.join(f'{value:10.2f}' for value in rows[-1]), flush=True)
@@ -86,7 +89,7 @@ def plot(path: Path, rows: list[Row]) -> None:
     figure = Figure(figsize=(8.0, 6.0), dpi=120, layout='constrained')
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    minute, _, median_ms, p95_ms, tracker_mb, mapper_mb, _ = np.array(rows).T
+    minute, _, median_ms, p95_ms, tracker_mb, mapper_mb, *_ = np.array(rows).T
     upper.plot(minute, tracker_mb, label='tracker')
     upper.plot(minute, mapper_mb, label='mapper')
     upper.set(ylabel='MB (RSS)')

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Generic, TypeVar
 
+from ..core.errors import DcgsError
+
 Item = TypeVar('Item')
 Result = TypeVar('Result')
 
@@ -42,8 +44,11 @@ class Inbox(Generic[Item]):
         def done() -> None:
             try:
                 future.set_result(work())
-            except BaseException as error:  # shown to who waits for the result
+            except DcgsError as error:  # shown to who waits for the result
                 future.set_exception(error)
+            except BaseException as error:  # a fault, which is to end the thread too
+                future.set_exception(error)
+                raise
 
         with self._changed:
             self._orders.append(done)

@@ -101,6 +101,11 @@ def _given(node: Node, defaults: Any) -> dict[str, Any]:
             f'{node.get_name()}: unknown parameters {", ".join(sorted(unknown))}; the valid ones '
             f'of these stages are {", ".join(of_stages)}'
         )
+    strange = [
+        k for k in overrides if k not in known and '.' not in k and not node.has_parameter(k)
+    ]
+    if strange:  # perhaps of a file for all nodes, so no error
+        node.get_logger().warning(f'unknown parameters {", ".join(sorted(strange))} are ignored')
     return {key: p.value for key, p in overrides.items() if key in known}
 
 

@@ -37,6 +37,7 @@ from .transport import RELIABLE, latched, prepare, sensor_qos
 
 _START = 'import sys; from dcgs_ros.nodes.{} import main; sys.exit(main())'
 _END_S = 20.0
+_LEAVE_S = 5.0
 _POLL_S = 0.02
 
 
@@ -85,9 +86,15 @@ class Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End what still runs."""
-        for process in self._running:
-            if process.poll() is None:
+        """End what still runs; by force, which leaves files in /dev/shm, only what stays."""
+        left = [process for process in self._running if process.poll() is None]
+        for process in left:
+            process.send_signal(signal.SIGINT)
+        end_s = time.monotonic() + _LEAVE_S
+        for process in left:
+            try:
+                process.wait(max(end_s - time.monotonic(), 0.0))
+            except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
 

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.nodes.inbox import Inbox
 
 SOON_S = 5.0  # only a failure takes so long
@@ -53,12 +54,24 @@ def test_orders_are_done_all_of_them_in_turn_before_the_next_item() -> None:
 
 
 def test_what_an_order_raises_is_for_who_waits_for_it() -> None:
+    def refuse() -> None:
+        raise DcgsError('no')
+
     inbox: Inbox[str] = Inbox(1)
-    failed: Future[float] = inbox.order(lambda: 1 / 0)
+    failed = inbox.order(refuse)
     fine = inbox.order(lambda: 'done')
     inbox.put('item')
     assert inbox.take(0.0) == 'item'
     assert fine.result(0) == 'done'
+    with pytest.raises(DcgsError, match='no'):
+        failed.result(0)
+
+
+def test_a_fault_in_an_order_reaches_the_thread_too() -> None:
+    inbox: Inbox[str] = Inbox(1)
+    failed: Future[float] = inbox.order(lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        inbox.take(0.0)
     with pytest.raises(ZeroDivisionError):
         failed.result(0)
 

@@ -17,6 +17,7 @@ from ...core import se3
 from ...io.ros_images import MessageError
 
 _SHORTEST = 1e-6  # of a quaternion: below, it is one that nobody filled in
+_FARTHEST = 1e9  # metres from the origin; beyond, float32 has no place for a map
 
 
 def pose_message(T: NDArray) -> Pose:
@@ -28,12 +29,12 @@ def pose_message(T: NDArray) -> Pose:
 def matrix(pose: Pose) -> NDArray[np.float64]:
     """Transform (4, 4) of a pose, its quaternion normalised.
 
-    Raises `MessageError` where a number is not finite or the quaternion zero.
+    Raises `MessageError` where a number is not finite or huge, or the quaternion zero.
     """
     p, q = pose.position, pose.orientation
     position, quat_wxyz = (p.x, p.y, p.z), (q.w, q.x, q.y, q.z)
     norm = math.hypot(*quat_wxyz)
-    if not math.hypot(*position) < math.inf or not _SHORTEST <= norm < math.inf:
+    if not math.hypot(*position) < _FARTHEST or not _SHORTEST <= norm < math.inf:
         raise MessageError(f'position {position}, quaternion wxyz {quat_wxyz} is no pose')
     return se3.from_quaternion(np.array(quat_wxyz) / norm, np.array(position))
 

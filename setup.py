@@ -47,10 +47,11 @@ setup(
         ],
         'cuda': ['gsplat>=1.4', 'torch>=2.2'],
         'view': ['viser>=0.2'],
-        'bags': ['rosbags>=0.10'],
+        'bags': ['lz4>=4.0', 'rosbags>=0.11', 'zstandard>=0.20'],
         'dev': [
             'evo>=1.26',  # GPL: the reference in tests, never imported by the package
             'hypothesis>=6.80',
+            'mcap-ros2-support>=0.5',  # a second opinion on the bags that are written
             'mypy>=1.8',
             'pytest>=7.4',
             'ruff>=0.5',

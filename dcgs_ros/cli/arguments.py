@@ -130,3 +130,38 @@ class InfoArguments:
 
     camera: Camera = None
     """fr1, fr2, fr3, d435i, or intrinsics in pixels; by default told by the folder's name."""
+
+
+@dataclass(frozen=True)
+class ConvertArguments:
+    """Write a sequence as a rosbag2 with a RealSense's topics, or as a folder in TUM's layout.
+
+    Stamps stay as they are, and so do colour and depth unless something else is said at the end.
+    Of a trajectory or an IMU a rosbag2 has what was measured while the frames were. What does not
+    come to an end leaves nothing behind.
+    """
+
+    source: Source
+    """A sequence in any format, as for run."""
+
+    dest: Annotated[Positional[Path], arg(metavar='DEST')]
+    """Folder to write, new or empty."""
+
+    format: Annotated[str | None, arg(metavar='mcap|sqlite3|tum')] = None
+    """A rosbag2 in either storage, or a TUM folder; by default sqlite3 for a DEST that ends with
+    .db3, tum for .tum, else mcap."""
+
+    compress: bool = False
+    """Colour as JPEG (quality 95) and depth as PNG of whole millimetres: CompressedImage."""
+
+    zstd: bool = False
+    """Compress the recording without loss: chunks of an mcap, messages of a sqlite3."""
+
+    camera: Camera = None
+    """Of the source, as for run."""
+
+    groundtruth: OptionalFile = None
+    """Trajectory to write along, in TUM's format; by default the dataset's own."""
+
+    max_frames: Annotated[int | None, arg(metavar='N')] = None
+    """Stop after N frames."""

@@ -13,13 +13,20 @@ import tyro
 
 from .. import __version__
 from ..core.errors import DcgsError
-from .arguments import EvaluateArguments, InfoArguments, RenderArguments, RunArguments
+from .arguments import (
+    ConvertArguments,
+    EvaluateArguments,
+    InfoArguments,
+    RenderArguments,
+    RunArguments,
+)
 
 VERBS: dict[str, Any] = {
     'run': RunArguments,
     'evaluate': EvaluateArguments,
     'render': RenderArguments,
     'info': InfoArguments,
+    'convert': ConvertArguments,
 }
 _DESCRIPTION = 'Dual covariance Gaussian splatting SLAM. `dcgs --version` prints the version.'
 _INTERRUPTED = 130  # 128 + SIGINT, as shells have it

@@ -1,48 +1,42 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""RGB-D sequences that rosbag2 recorded: mcap and sqlite3, one file or a folder of them."""
+"""RGB-D sequences that were recorded by ROS or RealSense Viewer."""
 
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Iterator
-from itertools import count
+from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..core.camera import PinholeCamera
-from ..core.errors import DcgsError, FrameError
+from ..core.errors import FrameError
 from ..core.frame import RgbdFrame
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
-from ..io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
+from ..io.ros_images import MessageError
 from ..io.trajectory import format_stamp_ns, read_tum
-from .bag_messages import (
-    CAMERA_INFO,
-    IMAGE,
-    camera_topics,
-    decode,
-    raw_messages,
-    read_header,
-)
-from .cameras import PRESETS, parse_intrinsics
-from .source import BadFrame, SourceError
-from .tum_index import MAX_PAIR_GAP_NS, associate_stamps
+from .bag_camera import find_camera
+from .bag_imu import imu_samples
+from .bag_messages import DamagedError, RawMessage, decode, raw_messages, read_header
+from .bag_survey import survey
+from .source import BadFrame, ImuSample
 
-_MAX_STEP_BACK_NS = 1_000_000_000  # more is not disorder but another recording
+LAYOUT = 'a recording: a rosbag2 folder with its metadata.yaml, an .mcap, a .db3 or a .bag'
+
+_MAX_WAITING = 100  # images of a topic that are read before they are due: a second's disorder
 
 
 class BagSource:
     """Colour and depth of a recording, paired by the stamps of their headers within 20 ms.
 
-    `camera` is a preset (`fr1`, `fr2`, `fr3`, `d435i`) or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in
-    pixels, used instead of the recorded CameraInfo; a preset tells the depth noise, too, which
-    else is a D435i's. Opening reads all messages once, for their stamps; none is kept.
+    `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels, used instead of the
+    recorded CameraInfo; `groundtruth` a trajectory file instead of the recorded poses. The topics
+    are found unless they are given. Depth that is not registered to colour is registered with the
+    recorded extrinsics. Opening reads all messages once, for their stamps; none is kept.
 
-    Raises a `DcgsError` that names the topics, or the stamps, that do not fit.
+    Raises a `DcgsError` that names the topics, or the stamps, that do not fit. Of a damaged
+    recording the good part is read; what is lost comes as the last `BadFrame`s.
     """
 
     camera: PinholeCamera
@@ -50,121 +44,78 @@ class BagSource:
     groundtruth: Trajectory | None
 
     def __init__(
-        self, path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+        self,
+        path: Path | str,
+        camera: str | None = None,
+        groundtruth: Path | str | None = None,
+        color_topic: str | None = None,
+        depth_topic: str | None = None,
     ) -> None:
-        """Find the topics, pair the stamps and read the camera."""
+        """Find the camera and pair the stamps."""
         self._path = path
         self.name = os.path.basename(os.path.abspath(path))
-        self._topics = camera_topics(path)
-        self._first: dict[str, bytes] = {}  # of each topic
-        color_ns, depth_ns = self._survey()
-        self._check_registration()
-        self._pairs = self._pair(color_ns, depth_ns)
-        self.sensor = PRESETS.get(camera or '', PRESETS['d435i']).sensor
-        self.camera = self._find_camera(camera)
-        self.groundtruth = None if groundtruth is None else read_tum(groundtruth)
+        self._recorded = find_camera(path, camera, color_topic, depth_topic)
+        self.camera, self.sensor = self._recorded.camera, self._recorded.sensor
+        topics = self._recorded.topics
+        self._survey = survey(path, topics.color, topics.depth)
+        self.groundtruth = self._survey.groundtruth
+        if groundtruth is not None:
+            self.groundtruth = read_tum(groundtruth)
 
     def __len__(self) -> int:
-        """Count the pairs of colour and depth, readable or not."""
-        return len(self._pairs)
+        """Count the pairs of colour and depth, readable or not, and what is lost."""
+        return len(self._survey.pairs) + len(self._survey.lost)
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
         """Read the frames one by one; an unreadable one comes as a `BadFrame`."""
-        color, depth = self._topics.color, self._topics.depth
-        due = deque(((color, i), (depth, j)) for i, j in self._pairs)
-        wanted = {key for pair in due for key in pair}
-        held: dict[tuple[str, int], bytes] = {}
-        numbers = {topic: count() for topic in (color, depth)}
-        for message in raw_messages(self._path, (color, depth)):
-            key = message.topic, next(numbers[message.topic])
-            if key in wanted:
-                held[key] = message.cdr
-            while due and due[0][0] in held and due[0][1] in held:
-                yield self._frame(len(self) - len(due) + 1, *(held.pop(k) for k in due.popleft()))
-
-    def _frame(self, number: int, color_cdr: bytes, depth_cdr: bytes) -> RgbdFrame | BadFrame:
-        """Decode a pair, or say why not."""
-        try:
-            color, depth = (decode(cdr, IMAGE) for cdr in (color_cdr, depth_cdr))
-            frame = RgbdFrame(
-                stamp_ns(color.header.stamp),
-                stamp_ns(depth.header.stamp),
-                read_color(color),
-                read_depth(depth),
-            )
-            height, width = frame.depth_m.shape
-            if (width, height) != (self.camera.width, self.camera.height):
-                raise FrameError(
-                    f"{width}x{height} pixels, but the camera's images are "
-                    f'{self.camera.width}x{self.camera.height}'
-                )
-        except (FrameError, MessageError) as error:
-            stamp = format_stamp_ns(read_header(color_cdr)[0])
-            return BadFrame(f'frame {number} of {len(self)} (colour at {stamp} s)', str(error))
-        return frame
-
-    def _survey(self) -> list[NDArray[np.int64]]:
-        """Read the header stamps of colour and depth, and each topic's first message."""
-        stamps: dict[str, list[int]] = {self._topics.color: [], self._topics.depth: []}
-        info = [self._topics.camera_info] if self._topics.camera_info else []
-        for message in raw_messages(self._path, [*stamps, *info]):
-            self._first.setdefault(message.topic, message.cdr)
-            if (seen := stamps.get(message.topic)) is None:
-                continue
+        topics, pairs = self._recorded.topics, self._survey.pairs
+        colors = _Images(self._path, topics.color, {color_ns for color_ns, _ in pairs})
+        depths = _Images(self._path, topics.depth, {depth_ns for _, depth_ns in pairs})
+        for number, (color_ns, depth_ns) in enumerate(pairs, start=1):
+            color, depth = colors.take(color_ns), depths.take(depth_ns)
             try:
-                seen.append(read_header(message.cdr)[0])
-            except MessageError as error:
-                where = f'{message.topic}, message {len(seen) + 1}'
-                raise SourceError(f'{self._path}: {where}: {error}') from error
-            if len(seen) > 1 and seen[-1] < seen[-2] - _MAX_STEP_BACK_NS:
-                raise SourceError(
-                    f'{self._path}: {message.topic}, message {len(seen)}: its stamp '
-                    f'{format_stamp_ns(seen[-1])} is before {format_stamp_ns(seen[-2])}: '
-                    'more than one recording in one'
+                if color is None or depth is None:
+                    raise FrameError(f'not there, or more than {_MAX_WAITING} images late')
+                images = self._recorded.images(
+                    decode(color.cdr, color.type), decode(depth.cdr, depth.type)
                 )
-        return [np.array(values, np.int64) for values in stamps.values()]
+                frame: RgbdFrame | BadFrame = RgbdFrame(color_ns, depth_ns, *images)
+            except (FrameError, MessageError) as error:
+                stamp = format_stamp_ns(color_ns)
+                name = f'frame {number} of {len(pairs)} (colour at {stamp} s)'
+                frame = BadFrame(name, str(error))
+            yield frame
+        yield from self._survey.lost
 
-    def _check_registration(self) -> None:
-        """Refuse depth in a frame of its own."""
-        topics = self._topics
-        frames = [read_header(self._first[topic])[1] for topic in (topics.color, topics.depth)]
-        if all(frames) and frames[0] != frames[1]:
-            raise SourceError(
-                f'{self._path}: {topics.depth} is in frame {frames[1]!r}, {topics.color} in '
-                f'{frames[0]!r}: depth is not registered to colour'
-            )
+    def imu(self) -> Iterator[ImuSample]:
+        """Read what inertial units measured, in order of the stamps."""
+        return imu_samples(self._path)
 
-    def _pair(
-        self, color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64]
-    ) -> list[tuple[int, int]]:
-        """Pair the messages: their numbers in their topics, by colour stamp."""
-        color, color_at = np.unique(color_ns, return_index=True)
-        depth, depth_at = np.unique(depth_ns, return_index=True)
-        pairs = associate_stamps(color, depth, MAX_PAIR_GAP_NS)
-        if not pairs:
-            spans = [
-                f'{format_stamp_ns(stamps[0])} to {format_stamp_ns(stamps[-1])} s'
-                for stamps in (color, depth)
-            ]
-            raise SourceError(
-                f'{self._path}: none of {len(color)} colour images has a depth image within '
-                f'{MAX_PAIR_GAP_NS / 1e6:.0f} ms: colour {spans[0]}, depth {spans[1]}'
-            )
-        return [(int(color_at[i]), int(depth_at[j])) for i, j in pairs]
 
-    def _find_camera(self, text: str | None) -> PinholeCamera:
-        """Read the preset, the intrinsics given, or the recorded ones."""
-        try:
-            if text is not None and text in PRESETS:
-                return PRESETS[text].camera
-            if text is not None:
-                image = decode(self._first[self._topics.color], IMAGE)
-                return parse_intrinsics(text, image.width, image.height)
-            if self._topics.camera_info is None:
-                raise SourceError(
-                    f'no CameraInfo beside {self._topics.color}; '
-                    f'give --camera {"|".join(PRESETS)} or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]'
-                )
-            return read_camera(decode(self._first[self._topics.camera_info], CAMERA_INFO))
-        except DcgsError as error:
-            raise SourceError(f'{self._path}: {error}') from error
+class _Images:
+    """One topic's images by their stamps, read on until the one asked for is there.
+
+    Each topic has a reader of its own, so that nothing piles up where one is recorded far behind
+    the other.
+    """
+
+    def __init__(self, path: Path | str, topic: str, wanted_ns: set[int]) -> None:
+        self._messages = raw_messages(path, [topic])
+        self._wanted_ns = wanted_ns  # and not yet read
+        self._waiting: dict[int, RawMessage] = {}
+
+    def take(self, stamp_ns: int) -> RawMessage | None:
+        """Hand an image over, if it comes in time."""
+        with suppress(StopIteration, DamagedError):  # the survey told of what is lost
+            while stamp_ns not in self._waiting and len(self._waiting) < _MAX_WAITING:
+                self._read_on()
+        self._wanted_ns.discard(stamp_ns)
+        return self._waiting.pop(stamp_ns, None)
+
+    def _read_on(self) -> None:
+        message = next(self._messages)
+        with suppress(MessageError):
+            at_ns = read_header(message.cdr)[0]
+            if at_ns in self._wanted_ns:
+                self._wanted_ns.remove(at_ns)
+                self._waiting[at_ns] = message

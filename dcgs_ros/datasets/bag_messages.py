@@ -1,92 +1,123 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What rosbag2 recorded, message by message, and which topics are an RGB-D camera's.
+"""What was recorded, message by message, by ROS 2 or ROS 1, whole or damaged.
 
-The reader is `rosbags`, which needs no ROS; nothing is decoded here but the header.
+None of it needs ROS.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..core.errors import DcgsError
 from ..io.ros_images import MessageError
+from .bag_compression import plain_file
+from .bag_files import DamagedError, RawMessage, find_files, is_bag, storage_of
+from .bag_mcap import mcap_types, read_mcap
+from .bag_ros1 import read_ros1, ros1_types
+from .bag_sqlite import read_sqlite, sqlite_types
 from .source import SourceError
 
 if TYPE_CHECKING:
-    from rosbags.rosbag2 import Reader
     from rosbags.typesys.store import Typestore
+
+__all__ = [
+    'CAMERA_INFO',
+    'EXTRINSICS',
+    'IMAGE',
+    'DamagedError',
+    'RawMessage',
+    'custom_data',
+    'decode',
+    'is_bag',
+    'message_types',
+    'raw_messages',
+    'read_header',
+    'topic_types',
+    'with_stamp',
+]
 
 IMAGE = 'sensor_msgs/msg/Image'
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
-
-# What realsense2_camera calls its topics.
-COLOR_TOPIC = '/camera/camera/color/image_raw'
-DEPTH_TOPIC = '/camera/camera/aligned_depth_to_color/image_raw'
+EXTRINSICS = 'realsense2_camera_msgs/msg/Extrinsics'
+_EXTRINSICS = 'float64[9] rotation\nfloat64[3] translation\n'
 
 _STAMP_AT = 4  # behind the four bytes that tell the encoding
 _FRAME_AT = 16
 
 
-class RawMessage(NamedTuple):
-    """A message as it was on the wire."""
+class _Storage(NamedTuple):
+    """How files of one kind are read."""
 
-    topic: str
-    type: str  # package/msg/Name
-    stamp_ns: int  # when it was recorded; its header has its own
-    cdr: bytes
-
-
-@dataclass(frozen=True)
-class CameraTopics:
-    """Topics of one RGB-D camera."""
-
-    color: str
-    depth: str
-    camera_info: str | None  # beside colour
+    # Reads messages of those topics or all; tells what is lost; raises where nothing can be read.
+    read: Callable[[Path, Collection[str] | None, list[str]], Iterator[RawMessage]]
+    types: Callable[[Path], dict[str, str] | None]  # at once, or none
 
 
-def is_bag(path: Path) -> bool:
-    """Whether the path is a recording: a folder with its metadata.yaml, an .mcap or a .db3."""
-    if path.is_dir():
-        return (path / 'metadata.yaml').exists()
-    return path.exists() and path.suffix in ('.mcap', '.db3')
+_STORAGES = {
+    '.mcap': _Storage(read_mcap, mcap_types),
+    '.db3': _Storage(read_sqlite, sqlite_types),
+    '.bag': _Storage(read_ros1, ros1_types),
+}
 
 
-def raw_messages(path: Path | str, topics: Collection[str]) -> Iterator[RawMessage]:
-    """Messages of those topics in the order they were recorded; raises `SourceError`."""
-    with _reading(path) as reader:
-        connections = [c for c in reader.connections if c.topic in topics]
-        if connections:  # none would mean all of them
-            for connection, stamp_ns, cdr in reader.messages(connections):
-                yield RawMessage(connection.topic, connection.msgtype, stamp_ns, bytes(cdr))
+def raw_messages(path: Path | str, topics: Collection[str] | None) -> Iterator[RawMessage]:
+    """Messages of those topics, or all, in the order they were recorded.
 
-
-def camera_topics(path: Path | str) -> CameraTopics:
-    """Find the camera: realsense2_camera's names, else what type and name leave but one choice.
-
-    Raises `SourceError` that lists the topics where there is no choice, or more than one.
+    Messages of ROS 1 are converted to CDR. What is damaged is left out, and told at the end by a
+    `DamagedError`; raises `SourceError` where there is nothing to read at all.
     """
-    with _reading(path) as reader:
-        types = {c.topic: c.msgtype for c in reader.connections if c.msgcount}
-    images = [topic for topic, type_ in types.items() if type_ == IMAGE]
-    infos = [topic for topic, type_ in types.items() if type_ == CAMERA_INFO]
-    depths = [topic for topic in images if 'depth' in topic]
-    colors = [topic for topic in images if topic not in depths]
-    color = _only(colors, COLOR_TOPIC, ('color', 'rgb'))
-    depth = _only(depths, DEPTH_TOPIC, ('aligned', 'registered'))
-    if color is None or depth is None:
-        what = 'colour' if color is None else 'depth'
-        have = ', '.join(f'{topic} ({type_})' for topic, type_ in sorted(types.items()))
-        raise SourceError(f'{path}: not one topic is the {what} image among {have or "none"}')
-    info = color.rsplit('/', 1)[0] + '/camera_info'
-    return CameraTopics(color, depth, info if info in infos else None)
+    recording = find_files(Path(path))
+    losses = [f'{name} is missing' for name in recording.missing]
+    unusable = count = 0
+    for file in recording.files:
+        found: list[str] = []
+        try:
+            for message in _file_messages(file, topics, found):
+                count += 1
+                yield message
+        except SourceError as error:
+            found.append(str(error))
+            unusable += 1
+        losses += [f'{file.name}: {loss}' for loss in found]
+    if not count and unusable == len(recording.files):
+        raise SourceError(f'{path}: cannot be read: {"; ".join(losses)}')
+    if losses:
+        known = [n for topic, n in recording.counts.items() if topics is None or topic in topics]
+        whole = f' of {sum(known)}' if sum(known) >= count else ''
+        more = f' (and {len(losses) - 1} more)' if len(losses) > 1 else ''
+        raise DamagedError(f'{path}: {count}{whole} messages could be read: {losses[0]}{more}')
+
+
+def topic_types(path: Path | str) -> dict[str, str]:
+    """Types (package/msg/Name) of the topics that hold messages; raises `SourceError`.
+
+    A damaged recording is read for it.
+    """
+    types: dict[str, str] = {}
+    errors = []
+    files = find_files(Path(path)).files
+    for file in files:
+        try:
+            with _refusals(), plain_file(file) as plain:
+                found = _STORAGES[storage_of(file)].types(plain)
+            if found is None:
+                found = {m.topic: m.type for m in _file_messages(file, None, [])}
+            types.update(found)
+        except SourceError as error:
+            errors.append(f'{file.name}: {error}')
+    if len(errors) == len(files):
+        raise SourceError(f'{path}: cannot be read: {"; ".join(errors)}')
+    return types
+
+
+def custom_data(path: Path | str) -> dict[str, str]:
+    """Read what the recorder noted in metadata.yaml of its own; raises `SourceError`."""
+    return find_files(Path(path)).custom_data
 
 
 def read_header(cdr: bytes) -> tuple[int, str]:
@@ -109,50 +140,42 @@ def with_stamp(cdr: bytes, stamp_ns: int) -> bytes:
 
 def decode(cdr: bytes, type_: str) -> Any:
     """Message as an object of its fields; raises `MessageError`."""
-    from rosbags.serde import SerdeError
-
+    with _refusals():
+        types = message_types()
     try:
-        return _types().deserialize_cdr(cdr, type_)
-    except SerdeError as error:
+        return types.deserialize_cdr(cdr, type_)
+    except Exception as error:  # SerdeError, and what rosbags does not foresee
         raise MessageError(f'{len(cdr)} bytes are no {type_}: {error}') from error
 
 
+def _file_messages(
+    file: Path, topics: Collection[str] | None, losses: list[str]
+) -> Iterator[RawMessage]:
+    """Read a file."""
+    with _refusals(), plain_file(file) as plain:
+        yield from _STORAGES[storage_of(file)].read(plain, topics, losses)
+
+
 @contextmanager
-def _reading(path: Path | str) -> Iterator[Reader]:
-    """Open a recording; whatever rosbags stumbles over becomes a `SourceError`."""
+def _refusals() -> Iterator[None]:
+    """Turn what the system refuses and what is not installed into a `SourceError`."""
     try:
-        from rosbags.rosbag2 import Reader
+        yield
+    except OSError as error:
+        raise SourceError(str(error)) from error
     except ImportError as error:
-        raise SourceError(
-            f"{path}: to read it takes rosbags: pip install 'dcgs_ros[bags]' ({error})"
-        ) from error
-    try:
-        with Reader(Path(path)) as reader:
-            yield reader
-    except DcgsError:
-        raise
-    except Exception as error:  # a damaged file fails anywhere in its parsers
-        raise SourceError(f'{path}: cannot be read as a rosbag2: {error!r}') from error
+        raise SourceError(f"that takes more: pip install 'dcgs_ros[bags]' ({error})") from error
 
 
 @cache
-def _types() -> Typestore:
-    """Layouts of the messages, the same in every ROS 2."""
-    from rosbags.typesys import Stores, get_typestore
+def message_types() -> Typestore:
+    """Layouts of the messages, the same in every ROS 2, and the RealSense's own."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(_EXTRINSICS, EXTRINSICS))
+    return store
 
 
 def _byte_order(cdr: bytes) -> str:
     return '<' if cdr[1] & 1 else '>'
-
-
-def _only(candidates: list[str], default: str, words: tuple[str, ...]) -> str | None:
-    """Choose the default, the only one with one of the words in its name, or the only one."""
-    if default in candidates:
-        return default
-    named = [topic for topic in candidates if any(word in topic for word in words)]
-    for choice in (named, candidates):
-        if len(choice) == 1:
-            return choice[0]
-    return None

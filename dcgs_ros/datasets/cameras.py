@@ -42,12 +42,60 @@ PRESETS: dict[str, CameraPreset] = {
         SensorNoise.structured_light(),
         TUM_DEPTH_PER_METRE,
     ),
+    # Bonn's dynamic sequences: an Asus Xtion, in TUM's layout and depth unit.
+    'bonn': CameraPreset(
+        PinholeCamera(
+            640,
+            480,
+            542.822841,
+            542.576870,
+            315.593520,
+            237.756098,
+            (0.039903, -0.099343, -0.000730, -0.000144, 0.0),
+        ),
+        SensorNoise.structured_light(),
+        TUM_DEPTH_PER_METRE,
+    ),
     # Nominal: every D435i is calibrated on its own (its camera_info says how), within a few pixels
-    # of this. 385 px is its depth imager's focal length at 640x480, 50 mm the baseline.
+    # of this. The first number is the focal length of its depth imager in that mode, 50 mm the
+    # baseline.
     'd435i': CameraPreset(
         PinholeCamera(640, 480, 615.0, 615.0, 319.5, 239.5),
         SensorNoise.stereo(385.0, 0.05),
         1000.0,
+    ),
+    'd435i_848': CameraPreset(
+        PinholeCamera(848, 480, 615.0, 615.0, 423.5, 239.5),
+        SensorNoise.stereo(424.0, 0.05),
+        1000.0,
+    ),
+    'd435i_1280': CameraPreset(
+        PinholeCamera(1280, 720, 922.5, 922.5, 639.5, 359.5),
+        SensorNoise.stereo(640.0, 0.05),
+        1000.0,
+    ),
+    # Structure sensor; nominal, a scene's own files say it exactly. Its frames are the depth's.
+    'scannet': CameraPreset(
+        PinholeCamera(640, 480, 577.6, 578.7, 318.9, 242.7),
+        SensorNoise.structured_light(),
+        1000.0,
+    ),
+    # Rendered as NICE-SLAM has it: no noise, only the rounding of 16 bits.
+    'replica': CameraPreset(
+        PinholeCamera(1200, 680, 600.0, 600.0, 599.5, 339.5), SensorNoise.floor(), 6553.5
+    ),
+    # Kinect's colour camera, nominal: 7-Scenes was published uncalibrated.
+    '7scenes': CameraPreset(
+        PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5),
+        SensorNoise.structured_light(),
+        1000.0,
+    ),
+    # Rendered without noise; fy is -480 there, as its y axis points up and its frames are
+    # left-handed.
+    'icl_nuim': CameraPreset(
+        PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5),
+        SensorNoise.floor(),
+        TUM_DEPTH_PER_METRE,
     ),
 }
 

@@ -4,21 +4,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
-from .bag import BagSource
+from . import bag, described, icl_nuim, replica, scannet, seven_scenes, tum
 from .bag_messages import is_bag
+from .bag_topics import split_topics
 from .source import Source, SourceError
-from .tum import TumSource
+
+
+class Format(NamedTuple):
+    """A kind of recording."""
+
+    layout: str  # what it consists of, for who named something else
+    recognises: Callable[[Path], bool]  # by names alone: no file's content is read
+    open: Callable[[Path, str | None, Path | str | None], Source]  # camera, ground truth
+
+
+# The first that recognises a path opens it, so the narrower ones come first; recordings, of which
+# topics can be named, come behind all of them.
+FORMATS = (
+    Format(described.LAYOUT, described.is_described, described.open_described),
+    Format(scannet.LAYOUT, scannet.is_scannet, scannet.open_scannet),
+    Format(replica.LAYOUT, replica.is_replica, replica.open_replica),
+    Format(seven_scenes.LAYOUT, seven_scenes.is_seven_scenes, seven_scenes.open_seven_scenes),
+    Format(icl_nuim.LAYOUT, icl_nuim.is_icl_nuim, icl_nuim.open_icl_nuim),
+    Format(tum.LAYOUT, tum.is_tum, tum.open_tum),
+)
 
 
 def open_source(
     address: str, camera: str | None = None, groundtruth: Path | str | None = None
 ) -> Source:
-    """Open `synthetic:NAME[?key=value&...]`, a rosbag2 or a folder in TUM layout.
+    """Open `synthetic:NAME[?key=value&...]`, or a sequence in one of the formats.
 
-    `camera` is a preset's name or intrinsics as `TumSource` takes them; `groundtruth` a trajectory
-    file used instead of the dataset's own. Raises a `DcgsError` that says what was looked for.
+    A recording's topics may be named behind its path: `?color=TOPIC&depth=TOPIC`.
+    `camera` is a preset's name or intrinsics as `parse_intrinsics` takes them; `groundtruth` a
+    trajectory file used instead of the dataset's own. Raises a `DcgsError` that says what was
+    looked for.
     """
     if address.startswith('synthetic:'):
         if camera is not None or groundtruth is not None:
@@ -26,16 +50,17 @@ def open_source(
         from .synthetic import SyntheticSource  # a ray caster that a dataset has no use for
 
         return SyntheticSource.from_address(address)
-    path = Path(address)
+    path, color, depth = split_topics(address)
+    if color is None and depth is None:
+        for format_ in FORMATS:
+            if format_.recognises(path):
+                return format_.open(path, camera, groundtruth)
     if is_bag(path):
-        return BagSource(path, camera, groundtruth)
-    if path.is_dir():
-        return TumSource(path, camera, groundtruth)
-    if path.exists():
+        return bag.BagSource(path, camera, groundtruth, color, depth)
+    if not path.exists():
         raise SourceError(
-            f'{address} is a file; a dataset is a folder in TUM layout, or a rosbag2: a folder, '
-            'an .mcap or a .db3'
+            f'{address}: no such folder or file, and no address that begins with synthetic:'
         )
-    raise SourceError(
-        f'{address}: no such folder or file, and no address that begins with synthetic:'
-    )
+    layouts = '; or '.join([*(format_.layout for format_ in FORMATS), bag.LAYOUT])
+    what = 'folder' if path.is_dir() else 'file'
+    raise SourceError(f'{address} is a {what} of no known format. There are: {layouts}')

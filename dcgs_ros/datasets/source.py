@@ -27,12 +27,33 @@ class BadFrame:
     reason: str
 
 
+@dataclass(frozen=True)
+class ImuSample:
+    """What an inertial unit measured, both or one of the two, in its own frame."""
+
+    stamp_ns: int
+    frame: str
+    acceleration: tuple[float, float, float] | None  # m/s^2
+    angular_velocity: tuple[float, float, float] | None  # rad/s
+
+
 class Source(Protocol):
     """A finite sequence of frames in order of their colour stamps."""
 
-    name: str
-    camera: PinholeCamera
-    sensor: SensorNoise
+    @property
+    def name(self) -> str:
+        """What the sequence is called in reports and file names."""
+        ...
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """Of the frames: colour, and the depth registered to it."""
+        ...
+
+    @property
+    def sensor(self) -> SensorNoise:
+        """Noise of the depth."""
+        ...
 
     @property
     def groundtruth(self) -> Trajectory | None:
@@ -45,4 +66,8 @@ class Source(Protocol):
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
         """Read the frames anew, from the first."""
+        ...
+
+    def imu(self) -> Iterator[ImuSample]:
+        """Read the inertial measurements, in order of their stamps; most sequences have none."""
         ...

@@ -22,7 +22,7 @@ from .handheld import HandHeldPath
 from .imaging import EXPOSURE_S, AutoExposure, FixedExposure, expose, ideal_image, through_lens
 from .raycast import View, cast
 from .scenes import SCENE_NAMES, build_stage
-from .source import SourceError
+from .source import ImuSample, SourceError
 from .textures import build_textures
 
 _SENSORS: dict[str, type[DepthCamera]] = {
@@ -97,6 +97,10 @@ class SyntheticSource:
         exposure = FixedExposure() if self._ideal else AutoExposure()
         for index in range(self.options.frames):
             yield self.render(index, exposure)
+
+    def imu(self) -> Iterator[ImuSample]:
+        """Cameras are all there is."""
+        return iter(())
 
     @cached_property
     def groundtruth(self) -> Trajectory | None:

@@ -6,52 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..io.trajectory import format_stamp_ns, parse_stamp_ns
+from .association import MAX_PAIR_GAP_NS, Entry, Pair, associate_stamps
 from .source import SourceError
-
-MAX_PAIR_GAP_NS = 20_000_000  # colour and depth farther apart in time are no pair
-
-
-class Entry(NamedTuple):
-    """One image of an index file."""
-
-    stamp_ns: int
-    path: str  # relative to the dataset's folder
-
-
-class Pair(NamedTuple):
-    """One frame before it is read."""
-
-    color: Entry
-    depth: Entry
-
-
-def associate_stamps(
-    first_ns: NDArray[np.int64], second_ns: NDArray[np.int64], max_gap_ns: int
-) -> list[tuple[int, int]]:
-    """Pair two increasing lists of stamps one to one, the closest first; indices (i, j) by i.
-
-    This is what TUM's own associate.py does: a stamp whose nearest is taken gets the next one.
-    """
-    low = np.searchsorted(second_ns, first_ns - max_gap_ns, side='left')
-    high = np.searchsorted(second_ns, first_ns + max_gap_ns, side='right')
-    candidates = sorted(
-        (abs(int(second_ns[j] - first_ns[i])), i, j)
-        for i in range(len(first_ns))
-        for j in range(low[i], high[i])
-    )
-    partner: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, i, j in candidates:
-        if i not in partner and j not in taken:
-            partner[i] = j
-            taken.add(j)
-    return sorted(partner.items())
 
 
 def read_pairs(folder: Path) -> list[Pair]:
@@ -61,7 +21,7 @@ def read_pairs(folder: Path) -> list[Pair]:
     """
     # All that are there are read, needed or not: a damaged index tells of a damaged copy.
     read = {
-        name: _read_index(folder / name, images)
+        name: read_index(folder / name, images)
         for name, images in (('associations.txt', 2), ('rgb.txt', 1), ('depth.txt', 1))
         if (folder / name).exists()
     }
@@ -78,6 +38,11 @@ def read_pairs(folder: Path) -> list[Pair]:
             f'nor {" and ".join(missing)} in it'
         )
     color, depth = ([row[0] for row in read[name]] for name in ('rgb.txt', 'depth.txt'))
+    return pair_images(folder, color, depth)
+
+
+def pair_images(folder: Path, color: Sequence[Entry], depth: Sequence[Entry]) -> list[Pair]:
+    """Pair images in order of their stamps by these; raises `SourceError` where none are close."""
     color_ns, depth_ns = (
         np.array([entry.stamp_ns for entry in entries], dtype=np.int64)
         for entries in (color, depth)
@@ -103,8 +68,11 @@ def _no_overlap(folder: Path, color: Sequence[Entry], depth: Sequence[Entry]) ->
     )
 
 
-def _read_index(path: Path, images: int) -> list[tuple[Entry, ...]]:
-    """Read an index file: `images` times `stamp path` a line, stamps increasing."""
+def read_index(path: Path, images: int) -> list[tuple[Entry, ...]]:
+    """Read an index file: `images` times `stamp path` a line, stamps increasing.
+
+    Raises `SourceError` naming the file and the line.
+    """
     rows: list[tuple[Entry, ...]] = []
     try:
         lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
@@ -132,12 +100,19 @@ def _parse_row(line: str, images: int) -> tuple[Entry, ...]:
             f'{len(words)} columns, not {2 * images} ({" ".join(["stamp path"] * images)})'
         )
     for path in words[1::2]:
-        if PurePosixPath(path).is_absolute() or '..' in PurePosixPath(path).parts:
-            raise ValueError(f'{path} leads out of the dataset')
+        check_inside(path)
     return tuple(
         Entry(parse_stamp_ns(stamp), path)
         for stamp, path in zip(words[::2], words[1::2], strict=True)
     )
+
+
+def check_inside(path: str) -> None:
+    """Refuse, with a `ValueError`, a path that leads out of the dataset's folder, or is none."""
+    if '\0' in path or any('\ud800' <= character <= '\udfff' for character in path):
+        raise ValueError(f'{path!r} is no path')
+    if PurePosixPath(path).is_absolute() or '..' in PurePosixPath(path).parts:
+        raise ValueError(f'{path} leads out of the dataset')
 
 
 def _check_order(before: tuple[Entry, ...], row: tuple[Entry, ...]) -> None:

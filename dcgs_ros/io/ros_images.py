@@ -23,7 +23,7 @@ _MAX_COEFFICIENTS = 8  # rational_polynomial's
 _COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'mono8': 1}
 _DEPTH_TYPES = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 _LENS_MODELS = ('', 'plumb_bob', 'rational_polynomial')
-_MM_PER_M = np.float32(1000.0)
+_MM_PER_M = 1000.0
 _MAX_M = np.float32(65.535)  # what 16 bits of millimetres hold
 
 
@@ -50,18 +50,23 @@ def read_color(image: Any) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels)
 
 
-def read_depth(image: Any) -> NDArray[np.float32]:
-    """Depth (H, W) in metres of an Image in 16UC1 or mono16 (mm) or 32FC1 (m); 0 = none.
+def read_depth(image: Any, per_metre: float = _MM_PER_M) -> NDArray[np.float32]:
+    """Depth (H, W) in metres of an Image in 16UC1 or mono16, or in 32FC1 (metres); 0 = none.
 
-    What is not finite or negative is none, too. Raises `MessageError`.
+    `per_metre` is the value of 16 bits at one metre. What is not finite or negative is none, too.
+    Raises `MessageError`.
     """
     kind = _DEPTH_TYPES.get(image.encoding)
     if kind is None:
         raise _unknown('depth', image.encoding, _DEPTH_TYPES)
     raw = _pixels(image, np.dtype(('>' if image.is_bigendian else '<') + kind), 1)
     if kind == 'u2':
-        return raw.astype(np.float32) / _MM_PER_M
-    depth_m = raw.astype(np.float32)
+        return raw.astype(np.float32) / np.float32(per_metre)
+    return measured(raw.astype(np.float32))
+
+
+def measured(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Set what is no distance (not finite, not positive) to 0, in place."""
     depth_m[~((depth_m > 0) & (depth_m < np.inf))] = 0.0
     return depth_m
 
@@ -69,21 +74,22 @@ def read_depth(image: Any) -> NDArray[np.float32]:
 def in_millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Depth (H, W) in metres as 16UC1 has it, rounded; beyond 65.535 m it is none: 0."""
     usable = (depth_m > 0) & (depth_m <= _MAX_M)
-    return np.rint(np.where(usable, depth_m, 0) * _MM_PER_M).astype(np.uint16)
+    return np.rint(np.where(usable, depth_m, 0) * np.float32(_MM_PER_M)).astype(np.uint16)
+
+
+def exact_millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16] | None:
+    """Depth (H, W) in metres as 16UC1 has it; None where that does not tell all of it."""
+    depth_mm = in_millimetres(depth_m)
+    exact = np.array_equal(depth_mm / np.float32(_MM_PER_M), depth_m)
+    return depth_mm if exact else None
 
 
 def read_camera(info: Any) -> PinholeCamera:
     """Intrinsics and distortion of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
 
-    Raises `MessageError` for another lens model, skew or an absurd size, and `CameraError` for
-    numbers that are no camera.
+    A lens model of any name that distorts nothing is none. Raises `MessageError` for another lens
+    model, skew or an absurd size, and `CameraError` for numbers that are no camera.
     """
-    model = info.distortion_model
-    if model not in _LENS_MODELS:
-        raise MessageError(
-            f'distortion model {model!r} is not supported; these are: '
-            f'{", ".join(name or "(none)" for name in _LENS_MODELS)}'
-        )
     width, height = _size(info)
     matrix = info.k if hasattr(info, 'k') else info.K
     distortion = info.d if hasattr(info, 'd') else info.D
@@ -97,6 +103,11 @@ def read_camera(info: Any) -> PinholeCamera:
     coefficients = tuple(float(value) for value in distortion)
     if not any(coefficients):
         coefficients = ()
+    elif info.distortion_model not in _LENS_MODELS:
+        raise MessageError(
+            f'distortion model {info.distortion_model[:40]!r} is not supported; these are: '
+            f'{", ".join(name or "(none)" for name in _LENS_MODELS)}'
+        )
     return PinholeCamera(width, height, fx, fy, cx, cy, coefficients)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.tum_index import associate_stamps
+from ..datasets.association import associate_stamps
 
 _JUMP_NS = 1_000_000_000  # a stamp farther back is another time, not disorder
 _INTERVALS = 15  # of a stream, for their median

@@ -14,23 +14,24 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from ..core.frame import RgbdFrame
+from ..datasets.bag_camera import find_camera
 from ..datasets.bag_messages import (
+    DamagedError,
     RawMessage,
-    camera_topics,
     is_bag,
     raw_messages,
     read_header,
     with_stamp,
 )
+from ..datasets.bag_topics import CameraTopics, split_topics
 from ..datasets.open import open_source
 from ..datasets.source import BadFrame, Source, SourceError
+from ..io.ros_images import exact_millimetres
 from .messages.camera_info import write_camera
 from .messages.headers import header
 from .messages.images import write_color, write_depth, write_depth_mm
 
 Output = Literal['camera_info', 'color', 'depth']
-
-_MAX_MM = 65535
 
 
 class Reel(Protocol):
@@ -78,10 +79,11 @@ class FrameReel:
 class BagReel:
     """Messages of a bag as they were recorded, each due when it was recorded."""
 
-    def __init__(self, path: str, camera_frame: str) -> None:
-        """Find the topics; `camera_frame` is only for a bag whose images name none."""
-        self._path = path
-        topics = camera_topics(path)
+    def __init__(
+        self, path: Path, topics: CameraTopics, camera_frame: str, say: Callable[[str], None]
+    ) -> None:
+        """`camera_frame` is for a bag whose images name none; `say` is told of what is lost."""
+        self._path, self._say = path, say
         if topics.camera_info is None:
             raise SourceError(f'{path}: no CameraInfo beside {topics.color}; give camera')
         self._outputs: dict[str, Output] = {
@@ -94,8 +96,11 @@ class BagReel:
 
     def items(self) -> Iterator[tuple[int, RawMessage]]:
         """Read the messages."""
-        for message in raw_messages(self._path, self._outputs):
-            yield message.stamp_ns, message
+        try:
+            for message in raw_messages(self._path, self._outputs):
+                yield message.stamp_ns, message
+        except DamagedError as error:
+            self._say(str(error))
 
     def messages(self, item: RawMessage, shift_ns: int) -> list[tuple[Output, Any]]:
         """Hand the bytes over."""
@@ -108,19 +113,20 @@ class BagReel:
 def make_reel(
     source: str, camera: str | None, camera_frame: str, say: Callable[[str], None]
 ) -> Reel:
-    """Open what a user names; a bag for which a camera is given is converted.
+    """Open what a user names; a bag is converted if a camera is given or its images need it.
 
     Raises a `DcgsError` that says why not.
     """
-    if camera is None and is_bag(Path(source)):
-        return BagReel(source, camera_frame)
+    path, *topics = split_topics(source)
+    if camera is None and is_bag(path):
+        recorded = find_camera(path, None, *topics)
+        if recorded.as_published:
+            return BagReel(path, recorded.topics, camera_frame, say)
     return FrameReel(open_source(source, camera), camera_frame, say)
 
 
 def _exact_depth(depth_m: NDArray[np.float32], header: Header) -> Image:
     """16UC1 as cameras send it where millimetres tell all, else 32FC1."""
-    millimetres = np.rint(depth_m * np.float32(1000))
-    exact = np.array_equal(millimetres / np.float32(1000), depth_m)
-    if exact and millimetres.max() <= _MAX_MM:
+    if exact_millimetres(depth_m) is not None:
         return write_depth_mm(depth_m, header)
     return write_depth(depth_m, header)

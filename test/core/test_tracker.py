@@ -23,7 +23,7 @@ from dcgs_ros.core.tracker import Tracker, TrackingState, TrackResult
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.synthetic import SyntheticSource
-from dcgs_ros.datasets.tum import TumSource
+from dcgs_ros.datasets.tum import open_tum
 from dcgs_ros.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
 
 Ablation = Literal['full', 'sigma_t', 'shared', 'shared_klt']
@@ -503,7 +503,7 @@ def synthetic_runs(address: str) -> dict[Ablation, Run]:
 @cache
 def real_runs(folder: Path) -> dict[Ablation, Run]:
     teddy = folder.name == TEDDY
-    source = TumSource(folder, 'fr3' if teddy else 'fr1')
+    source = open_tum(folder, 'fr3' if teddy else 'fr1')
     return track_all(source, ('full', 'sigma_t', 'shared') if teddy else ('full',))
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Small recordings, written by rosbags as rosbag2 would."""
+"""Small recordings, written by rosbags as rosbag2 would, by mcap, and as ROS 1 would."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from dcgs_ros.core.camera import PinholeCamera
 
@@ -25,6 +27,10 @@ DEPTH_LAG_NS = -4_000_000  # of depth's stamps against colour's
 DELAY_NS = 20_000_000  # from a stamp to its recording
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+TYPES1 = get_typestore(Stores.ROS1_NOETIC)
+TYPES1.register(
+    get_types_from_msg('geometry_msgs/TransformStamped[] transforms', 'tf2_msgs/msg/TFMessage')
+)
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 
 
@@ -37,9 +43,14 @@ class Entry(NamedTuple):
     cdr: bytes
 
 
-def write_bag(path: Path, entries: Iterable[Entry], plugin: StoragePlugin = MCAP) -> Path:
+def write_bag(
+    path: Path,
+    entries: Iterable[Entry],
+    plugin: StoragePlugin = MCAP,
+    writer: Writer | None = None,  # for this path, where more is to be set
+) -> Path:
     """Write a recording's folder; an entry's topic appears where its first message does."""
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
+    with writer or Writer(path, version=9, storage_plugin=plugin) as writer:
         connections: dict[str, Any] = {}
         for entry in entries:
             if entry.topic not in connections:
@@ -48,6 +59,73 @@ def write_bag(path: Path, entries: Iterable[Entry], plugin: StoragePlugin = MCAP
                 )
             writer.write(connections[entry.topic], entry.recorded_ns, entry.cdr)
     return path
+
+
+def write_mcap(path: Path, entries: Iterable[Entry], **options: Any) -> Path:
+    """Write an .mcap alone, in the order of the entries; `options` are the mcap library's."""
+    with path.open('wb') as file:
+        writer = McapWriter(file, **options)
+        writer.start('ros2')
+        channels: dict[str, int] = {}
+        for entry in entries:
+            if entry.topic not in channels:
+                text = TYPES.generate_msgdef(entry.type, ros_version=2)[0]
+                schema = writer.register_schema(entry.type, 'ros2msg', text.encode())
+                channels[entry.topic] = writer.register_channel(entry.topic, 'cdr', schema)
+            writer.add_message(
+                channels[entry.topic], entry.recorded_ns, entry.cdr, entry.recorded_ns
+            )
+        writer.finish()
+    return path
+
+
+def write_ros1(
+    path: Path, entries: Iterable[Entry], compression: Writer1.CompressionFormat | None = None
+) -> Path:
+    """Write a .bag of ROS 1, its messages converted from the entries'."""
+    writer = Writer1(path)
+    writer.chunk_threshold = 10_000  # bytes, for more than one chunk
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        connections: dict[str, Any] = {}
+        for entry in entries:
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type, typestore=TYPES1
+                )
+            data = TYPES.cdr_to_ros1(entry.cdr, entry.type)
+            writer.write(connections[entry.topic], entry.recorded_ns, data)
+    return path
+
+
+def various() -> Iterator[Entry]:
+    """Messages of some types that cameras and their recorders send."""
+    kinds = TYPES.types
+    vector = kinds['geometry_msgs/msg/Vector3'](0.1, -0.2, 9.81)
+    quaternion = kinds['geometry_msgs/msg/Quaternion'](0.0, 0.6, 0.0, 0.8)
+    point = kinds['geometry_msgs/msg/Point'](1.0, 2.0, 3.0)
+    transform = kinds['geometry_msgs/msg/Transform'](vector, quaternion)
+    pose = kinds['geometry_msgs/msg/Pose'](point, quaternion)
+    covariance = np.arange(9.0)
+    jpeg = np.arange(101, dtype=np.uint8)  # of an odd length, as jpegs are
+    head = _header(START_NS, 'somewhere')
+    tf = kinds['geometry_msgs/msg/TransformStamped'](head, 'there', transform)
+    for k, (topic, name, fields) in enumerate(
+        [
+            (
+                '/imu',
+                'sensor_msgs/msg/Imu',
+                (head, quaternion, *(covariance, vector) * 2, covariance),
+            ),
+            ('/jpeg', 'sensor_msgs/msg/CompressedImage', (head, 'jpeg', jpeg)),
+            ('/tf_static', 'tf2_msgs/msg/TFMessage', ([tf, tf],)),
+            ('/tf/0', 'geometry_msgs/msg/Transform', (vector, quaternion)),
+            ('/groundtruth', 'geometry_msgs/msg/PoseStamped', (head, pose)),
+            ('/units', 'std_msgs/msg/Float32', (0.001,)),
+        ]
+    ):
+        yield _entry(topic, name, START_NS + k * INTERVAL_NS, kinds[name](*fields))
 
 
 def recording(frames: int, color: str = COLOR, depth: str = DEPTH) -> Iterator[Entry]:

@@ -36,12 +36,10 @@ from bags import (  # type: ignore[import-not-found]
     write_bag,
 )
 
-from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.bag import BagSource
 from dcgs_ros.datasets.bag_messages import (
-    camera_topics,
     raw_messages,
     read_header,
     with_stamp,
@@ -53,6 +51,8 @@ from dcgs_ros.io.ros_images import MessageError
 from dcgs_ros.io.trajectory import write_tum
 
 FRAMES = 5
+CUT_FRAMES = 180  # of 16 KB: chunks of an mcap have a megabyte
+SQLITE_PAGE = 4096
 FLAT_FRAMES = 20  # of the 300 more
 
 Bag = Callable[..., Path]
@@ -139,44 +139,6 @@ def test_a_broken_image_is_a_bad_frame_among_good_ones(bag: Bag) -> None:
         assert reason in item.reason
 
 
-def test_topics_of_another_camera_are_found_by_type_and_name(bag: Bag) -> None:
-    color, depth = '/front/rgb/image', '/front/depth_registered/image'
-    entries = list(recording(2, color, depth))
-    infrared = image_entry('/front/infra1/image', START_NS, 'mono8', color_of(0)[..., 0])
-    raw = depth_entry(START_NS, depth_of(0), '/front/depth/image')
-    path = bag([infrared, raw, *entries])
-    assert camera_topics(path).color == color
-    assert camera_topics(path).depth == depth
-    assert camera_topics(path).camera_info == '/front/rgb/camera_info'
-    assert len(BagSource(path)) == 2
-
-
-def test_the_realsense_is_preferred_to_other_cameras(bag: Bag) -> None:
-    other = recording(2, '/other/color/image_raw', '/other/aligned_depth_to_color/image_raw')
-    topics = camera_topics(bag([*other, *recording(2)]))
-    assert (topics.color, topics.depth, topics.camera_info) == (COLOR, DEPTH, INFO)
-
-
-def test_where_topics_are_missing_or_many_they_are_listed(bag: Bag) -> None:
-    no_depth = [entry for entry in recording(1) if entry.topic != DEPTH]
-    with pytest.raises(SourceError, match=rf'the depth image among .*{COLOR} \(sensor_msgs/'):
-        BagSource(bag(no_depth, 'no_depth'))
-    cameras = [
-        entry
-        for side in ('left', 'right')
-        for entry in recording(1, f'/{side}/color/image', f'/{side}/depth/image')
-    ]
-    with pytest.raises(SourceError, match=r'colour image among .*/left/color.*/right/color'):
-        BagSource(bag(cameras, 'two'))
-
-
-def test_depth_in_a_frame_of_its_own_is_refused(bag: Bag) -> None:
-    entries = [entry for entry in recording(1) if entry.topic != DEPTH]
-    entries.append(depth_entry(START_NS, depth_of(0), frame='camera_depth_optical_frame'))
-    with pytest.raises(SourceError, match=r"'camera_depth_optical_frame'.*not registered"):
-        BagSource(bag(entries))
-
-
 def test_without_camera_info_the_camera_has_to_be_given(bag: Bag) -> None:
     path = bag([entry for entry in recording(2) if entry.topic != INFO])
     with pytest.raises(SourceError, match=f'no CameraInfo beside {COLOR}; give --camera'):
@@ -218,21 +180,54 @@ def test_stamps_that_do_not_fit_are_told(bag: Bag) -> None:
 
 
 @pytest.mark.parametrize('plugin', [MCAP, SQLITE])
-def test_damage_is_told(bag: Bag, plugin: int) -> None:
-    folder = bag(plugin=plugin)
+def test_of_a_damaged_recording_the_good_part_is_read(bag: Bag, plugin: int) -> None:
+    folder = bag(list(recording(CUT_FRAMES)), plugin=plugin)
     (file,) = [file for file in folder.iterdir() if file.suffix != '.yaml']
     whole = file.read_bytes()
-    for size in (0, 7, 100, len(whole) // 2, len(whole) - 10):
-        file.write_bytes(whole[:size])
-        try:  # sqlite does not miss what lies at the end
-            list(BagSource(folder))
-        except DcgsError as error:
-            assert str(folder) in str(error)
-        else:
-            assert plugin == SQLITE and size == len(whole) - 10
-    (folder / 'metadata.yaml').write_text('rosbag2_bagfile_information: 3')
-    with pytest.raises(SourceError, match='cannot be read as a rosbag2'):
+    file.write_bytes(whole[: int(0.8 * len(whole)) // SQLITE_PAGE * SQLITE_PAGE])
+    source = BagSource(folder)
+    *frames, end = source
+    assert len(frames) + 1 == len(source)
+    assert CUT_FRAMES // 3 < len(frames) < CUT_FRAMES
+    for k, frame in enumerate(frames):
+        assert isinstance(frame, RgbdFrame)
+        np.testing.assert_array_equal(frame.color, color_of(k))
+        np.testing.assert_array_equal(frame.depth_m, depth_of(k) / np.float32(1000))
+    assert isinstance(end, BadFrame)
+    assert end.name == 'end of the recording' and str(folder) in end.reason
+
+
+@pytest.mark.parametrize('plugin', [MCAP, SQLITE])
+@pytest.mark.parametrize('size', [0, 7, 100])
+def test_where_nothing_is_left_one_error_says_so(bag: Bag, plugin: int, size: int) -> None:
+    folder = bag(plugin=plugin)
+    (file,) = [file for file in folder.iterdir() if file.suffix != '.yaml']
+    file.write_bytes(file.read_bytes()[:size])
+    with pytest.raises(SourceError, match=str(folder)):
         BagSource(folder)
+
+
+def test_a_message_without_a_header_is_lost_and_told(bag: Bag) -> None:
+    entries = list(recording(3))
+    entries[5] = entries[5]._replace(cdr=entries[5].cdr[:10])
+    *frames, lost = BagSource(bag(entries))
+    assert [frame.stamp_ns for frame in frames if isinstance(frame, RgbdFrame)] == [
+        START_NS,
+        START_NS + 2 * INTERVAL_NS,
+    ]
+    assert isinstance(lost, BadFrame) and lost.name.endswith(f'({COLOR})')
+    assert '10 bytes do not begin with a header' in lost.reason
+
+
+def test_an_image_that_comes_too_late_is_left_out_and_nothing_else(
+    bag: Bag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('dcgs_ros.datasets.bag._MAX_WAITING', 4)
+    entries = list(recording(12))
+    late = [entries[2]._replace(recorded_ns=entries[-1].recorded_ns + 1)]
+    items = list(BagSource(bag([*entries[:2], *entries[3:], *late])))
+    assert [type(item) for item in items] == [BadFrame, *11 * [RgbdFrame]]
+    assert 'more than 4 images late' in items[0].reason  # type: ignore[union-attr]
 
 
 def test_raw_messages_are_those_recorded(bag: Bag) -> None:
@@ -260,7 +255,8 @@ def test_what_has_no_header_is_refused(cdr: bytes) -> None:
         read_header(cdr)
 
 
-def test_memory_does_not_grow_with_the_recording(bag: Bag) -> None:
+@pytest.mark.parametrize('apart', [False, True])
+def test_memory_does_not_grow_with_the_recording(bag: Bag, apart: bool) -> None:
     def peak(path: Path) -> float:
         source = BagSource(path)
         gc.collect()
@@ -271,7 +267,11 @@ def test_memory_does_not_grow_with_the_recording(bag: Bag) -> None:
         tracemalloc.stop()
         return peak
 
-    short, long = (bag(list(recording(n)), f'of{n}') for n in (100, 400))
+    def entries(frames: int) -> list[Entry]:
+        whole = list(recording(frames))
+        return sorted(whole, key=lambda entry: entry.topic) if apart else whole
+
+    short, long = (bag(entries(n), f'of{n}', SQLITE) for n in (100, 400))
     peak(short)  # what is imported and cached at the first time
     assert peak(long) - peak(short) < FLAT_FRAMES * (color_of(0).nbytes + depth_of(0).nbytes)
 

@@ -8,16 +8,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from bags import recording, write_bag  # type: ignore[import-not-found]
 
+from dcgs_ros.datasets.image_sequence import ImageSequence
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.datasets.synthetic import SyntheticSource
-from dcgs_ros.datasets.tum import TumSource
 
 
 def test_a_folder_is_read_as_tum(tum_folder: Callable[..., Path]) -> None:
     source = open_source(str(tum_folder('my_fr2_desk', frames=3)))
-    assert isinstance(source, TumSource)
+    assert isinstance(source, ImageSequence)
     assert source.name == 'my_fr2_desk'
     assert len(source) == 3
 
@@ -44,8 +45,27 @@ def test_synthetic_sources_have_their_own_camera() -> None:
 def test_what_cannot_be_opened_is_told_why(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match='no such folder'):
         open_source(str(tmp_path / 'nowhere'))
-    with pytest.raises(SourceError, match='no TUM dataset'):
+    with pytest.raises(SourceError, match=r'no known format\. There are: .*rgb\.txt'):
         open_source(str(tmp_path))
     (tmp_path / 'file').touch()
     with pytest.raises(SourceError, match='is a file'):
         open_source(str(tmp_path / 'file'))
+
+
+def test_topics_of_a_recording_are_named_behind_its_path(tmp_path: Path) -> None:
+    left, right = (
+        list(recording(2, f'/{side}/color/image', f'/{side}/depth/image'))
+        for side in ('left', 'right')
+    )
+    path = write_bag(tmp_path / 'two', [*left, *right])
+    with pytest.raises(SourceError, match=r'name it: .*two\?color=TOPIC'):
+        open_source(str(path))
+    source = open_source(f'{path}?color=/right/color/image&depth=/right/depth/image')
+    assert len(list(source)) == 2
+    with pytest.raises(SourceError, match='colour is not known; of a recording color=TOPIC'):
+        open_source(f'{path}?colour=/right/color/image')
+
+
+def test_only_recordings_have_topics(tum_folder: Callable[..., Path]) -> None:
+    with pytest.raises(SourceError, match='no known format'):
+        open_source(f'{tum_folder("fr1_desk")}?color=/a')

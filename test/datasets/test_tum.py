@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.datasets.association import MAX_PAIR_GAP_NS, associate_stamps
 from dcgs_ros.datasets.cameras import PRESETS, parse_intrinsics
-from dcgs_ros.datasets.source import BadFrame, SourceError
-from dcgs_ros.datasets.tum import TumSource
-from dcgs_ros.datasets.tum_index import MAX_PAIR_GAP_NS, associate_stamps
+from dcgs_ros.datasets.source import BadFrame, Source, SourceError
+from dcgs_ros.datasets.tum import open_tum
 from dcgs_ros.io.trajectory import TrajectoryFileError
 
 Writer = Callable[..., Path]
@@ -27,14 +27,14 @@ SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images the fixture writes
 FLOAT32_STEP = 1e-6  # metres, at a few metres
 
 
-def good_frames(source: TumSource) -> list[RgbdFrame]:
+def good_frames(source: Source) -> list[RgbdFrame]:
     frames = list(source)
     assert all(isinstance(frame, RgbdFrame) for frame in frames), frames
     return [frame for frame in frames if isinstance(frame, RgbdFrame)]
 
 
 def test_frames_are_what_was_written(tum_folder: Writer) -> None:
-    source = TumSource(tum_folder(frames=4), camera=SMALL)
+    source = open_tum(tum_folder(frames=4), camera=SMALL)
     frames = good_frames(source)
     assert len(source) == len(frames) == 4
     for k, frame in enumerate(frames):
@@ -45,7 +45,7 @@ def test_frames_are_what_was_written(tum_folder: Writer) -> None:
 
 
 def test_reading_twice_gives_the_same(tum_folder: Writer) -> None:
-    source = TumSource(tum_folder(), camera=SMALL)
+    source = open_tum(tum_folder(), camera=SMALL)
     for first, second in zip(good_frames(source), good_frames(source), strict=True):
         assert first.stamp_ns == second.stamp_ns
         np.testing.assert_array_equal(first.depth_m, second.depth_m)
@@ -61,7 +61,7 @@ def test_jpeg_colour_is_read(tum_folder: Writer) -> None:
     index = folder / 'rgb.txt'
     index.write_text(index.read_text().replace('.png', '.jpg'))
     jpeg_error = 4
-    for k, frame in enumerate(good_frames(TumSource(folder, camera=SMALL))):
+    for k, frame in enumerate(good_frames(open_tum(folder, camera=SMALL))):
         assert np.abs(frame.color.astype(int) - (10 * k, 100, 200)).max() <= jpeg_error
 
 
@@ -69,7 +69,7 @@ def test_associations_are_preferred(tum_folder: Writer) -> None:
     folder = tum_folder(frames=4)
     row = '100.030000 rgb/1.png 100.040000 depth/2.png\n'
     (folder / 'associations.txt').write_text(row)
-    (frame,) = good_frames(TumSource(folder, camera=SMALL))
+    (frame,) = good_frames(open_tum(folder, camera=SMALL))
     assert frame.depth_stamp_ns == 100_040_000_000
     np.testing.assert_allclose(frame.depth_m, 1.2, atol=FLOAT32_STEP)
 
@@ -79,7 +79,7 @@ def test_associations_without_any_close_pair_are_refused(tum_folder: Writer) -> 
     row = '100.030000 rgb/1.png 100.065000 depth/2.png\n'
     (folder / 'associations.txt').write_text(row)
     with pytest.raises(SourceError, match=r'within 20 ms.*gaps 35\.0 to 35\.0 ms'):
-        TumSource(folder, camera=SMALL)
+        open_tum(folder, camera=SMALL)
 
 
 def test_a_truncated_jpeg_is_no_grey_frame(tum_folder: Writer) -> None:
@@ -88,9 +88,9 @@ def test_a_truncated_jpeg_is_no_grey_frame(tum_folder: Writer) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     data = cv2.imencode('.jpg', noise)[1].tobytes()
     path.write_bytes(data)
-    good_frames(TumSource(folder, camera=SMALL))
+    good_frames(open_tum(folder, camera=SMALL))
     path.write_bytes(data[: len(data) // 2])
-    (frame,) = TumSource(folder, camera='fr3')
+    (frame,) = open_tum(folder, camera='fr3')
     assert isinstance(frame, BadFrame)
     assert f'cut off after {len(data) // 2} bytes' in frame.reason
 
@@ -138,7 +138,7 @@ def test_own_association_is_the_published_one(data_dir: Path, name: str) -> None
     ],
 )
 def test_camera_comes_from_the_name(tum_folder: Writer, name: str, preset: str) -> None:
-    source = TumSource(tum_folder(name))
+    source = open_tum(tum_folder(name))
     assert source.camera == PRESETS[preset].camera
     assert bool(source.camera.distortion) == (preset != 'fr3')
 
@@ -146,11 +146,11 @@ def test_camera_comes_from_the_name(tum_folder: Writer, name: str, preset: str) 
 @pytest.mark.parametrize('name', ['office', 'fr4_desk', 'fr10'])
 def test_unknown_camera_is_asked_for(tum_folder: Writer, name: str) -> None:
     with pytest.raises(SourceError, match='--camera'):
-        TumSource(tum_folder(name))
+        open_tum(tum_folder(name))
 
 
 def test_preset_brings_its_depth_unit(tum_folder: Writer) -> None:
-    source = TumSource(tum_folder(size=(640, 480), frames=1), camera='d435i')
+    source = open_tum(tum_folder(size=(640, 480), frames=1), camera='d435i')
     (frame,) = good_frames(source)
     np.testing.assert_allclose(frame.depth_m, 5.0, atol=FLOAT32_STEP)  # 5000 at 1000 per metre
     assert source.sensor == PRESETS['d435i'].sensor
@@ -196,7 +196,7 @@ BAD_IMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     'truncated': ('depth', _truncate, r'cut off after \d+ bytes'),
     'truncated colour': ('rgb', _truncate, r'cut off after \d+ bytes'),
     'corrupt': ('depth', _flip_a_byte, 'no image'),
-    'empty': ('depth', _empty, r'\(0 bytes\) is no image'),
+    'empty': ('depth', _empty, r'\(0 bytes\) is neither'),
     'wrong size': ('depth', _rewrite(np.ones((24, 32), np.uint16)), "32x24.*camera's.*64x48"),
     '8 bits': ('depth', _rewrite(np.ones((48, 64), np.uint8)), r'1 channel\(s\) of 8 bits'),
     '3 channels': ('depth', _rewrite(np.ones((48, 64, 3), np.uint16)), r'3 channel\(s\) of 16'),
@@ -209,7 +209,7 @@ def test_one_bad_image_is_one_bad_frame(tum_folder: Writer, fault: str) -> None:
     kind, damage, reason = BAD_IMAGES[fault]
     folder = tum_folder(frames=4)
     damage(folder / kind / '2.png')
-    frames = list(TumSource(folder, camera=SMALL))
+    frames = list(open_tum(folder, camera=SMALL))
     assert [isinstance(frame, BadFrame) for frame in frames] == [False, False, True, False]
     bad = frames[2]
     assert isinstance(bad, BadFrame)
@@ -226,6 +226,7 @@ BAD_LINES = {
     'too large': ('1e30 rgb/9.png', 'no usable time'),
     'columns': ('101.0 rgb/9.png 3', '3 columns, not 2'),
     'parent': ('101.0 ../../secret.png', 'leads out of the dataset'),
+    'no path': ('101.0 a\0b.png', r"'a\\x00b\.png' is no path"),
     'absolute': ('101.0 /etc/secret.png', 'leads out of the dataset'),
 }
 
@@ -237,7 +238,7 @@ def test_a_bad_index_line_is_named(tum_folder: Writer, fault: str) -> None:
     with (folder / 'rgb.txt').open('a') as file:
         file.write(line + '\n')
     with pytest.raises(SourceError, match=rf'rgb\.txt:6: .*{reason}'):
-        TumSource(folder, camera=SMALL)
+        open_tum(folder, camera=SMALL)
 
 
 @pytest.mark.parametrize('index', ['rgb.txt', 'depth.txt', 'associations.txt'])
@@ -245,7 +246,7 @@ def test_an_empty_index_is_named(tum_folder: Writer, index: str) -> None:
     folder = tum_folder()
     (folder / index).write_text('# nothing\n\n')
     with pytest.raises(SourceError, match=rf'{index}: names no image'):
-        TumSource(folder, camera=SMALL)
+        open_tum(folder, camera=SMALL)
 
 
 def test_no_overlap_in_time_is_told_with_numbers(tum_folder: Writer) -> None:
@@ -254,27 +255,27 @@ def test_no_overlap_in_time_is_told_with_numbers(tum_folder: Writer) -> None:
     index.write_text(index.read_text().replace('100.', '161.'))
     expected = r'none of 4 .*100\.09\d+ s, depth 161\.005\d+ .*gaps 60915\.0 to 61005\.0 ms'
     with pytest.raises(SourceError, match=expected):
-        TumSource(folder, camera=SMALL)
+        open_tum(folder, camera=SMALL)
 
 
 def test_what_is_no_dataset_is_told_what_was_looked_for(tmp_path: Path) -> None:
     with pytest.raises(
         SourceError, match=r'neither associations\.txt nor rgb\.txt and depth\.txt'
     ):
-        TumSource(tmp_path)
+        open_tum(tmp_path)
     with pytest.raises(SourceError, match='no such folder'):
-        TumSource(tmp_path / 'nowhere')
+        open_tum(tmp_path / 'nowhere')
 
 
 def test_ground_truth_is_optional(tum_folder: Writer) -> None:
     folder = tum_folder(frames=4)
-    truth = TumSource(folder).groundtruth
+    truth = open_tum(folder).groundtruth
     assert truth is not None
     assert len(truth) == 4
     moved = folder.parent / 'elsewhere.txt'
     (folder / 'groundtruth.txt').rename(moved)
-    assert TumSource(folder).groundtruth is None
-    named = TumSource(folder, groundtruth=moved).groundtruth
+    assert open_tum(folder).groundtruth is None
+    named = open_tum(folder, groundtruth=moved).groundtruth
     assert named is not None
     np.testing.assert_array_equal(named.stamps_ns, truth.stamps_ns)
 
@@ -284,4 +285,4 @@ def test_nan_in_ground_truth_is_named(tum_folder: Writer) -> None:
     with (folder / 'groundtruth.txt').open('a') as file:
         file.write('101.0 0 nan 0 0 0 0 1\n')
     with pytest.raises(TrajectoryFileError, match=r'groundtruth\.txt:5: pose is not finite'):
-        TumSource(folder)
+        open_tum(folder)

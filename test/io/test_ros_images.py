@@ -87,6 +87,14 @@ def test_metres_are_read_from_any_layout(layout: dict[str, Any]) -> None:
     np.testing.assert_array_equal(depth_m, metres)
 
 
+@given(LAYOUTS, st.sampled_from([1000.0, 5000.0, 10000.0, 6553.5]))
+def test_another_unit_of_depth_is_divided_by(layout: dict[str, Any], per_metre: float) -> None:
+    rng, shape, options = drawn(layout)
+    raw = rng.integers(0, 2**16, shape, dtype=np.uint16)
+    depth_m = read_depth(image(raw, '16UC1', **options), per_metre)
+    np.testing.assert_array_equal(depth_m, raw.astype(np.float32) / np.float32(per_metre))
+
+
 def test_every_millimetre_is_the_nearest_float() -> None:
     millimetres = np.arange(2**16, dtype=np.uint16).reshape(256, 256)
     depth_m = read_depth(image(millimetres, '16UC1'))
@@ -171,6 +179,9 @@ def info(**changes: Any) -> SimpleNamespace:
         ('plumb_bob', (), 0),
         ('', (), 0),
         ('', (0.0,) * 8, 0),
+        ('Inverse Brown Conrady', (0.0,) * 5, 0),
+        ('None', (0.0,) * 5, 0),
+        ('equidistant', (), 0),
         ('rational_polynomial', (0.5, 0.1, 1e-4, 2e-4, 0.01, 0.6, 0.2, 0.03), 8),
     ],
 )
@@ -193,6 +204,7 @@ def test_capital_names_of_ros_1_are_read_as_well() -> None:
     ('changes', 'reason'),
     [
         ({'distortion_model': 'equidistant'}, "'equidistant' is not supported"),
+        ({'distortion_model': 'Inverse Brown Conrady'}, "'Inverse Brown Conrady' is not sup"),
         ({'k': np.array([525.0, 0.1, 319.5, 0, 525, 239.5, 0, 0, 1])}, 'skew of 0.1 pixels'),
         ({'k': np.full(9, np.nan)}, 'skew of nan'),
         ({'width': 0}, 'image of 0x480 pixels'),

@@ -39,6 +39,7 @@ from bags import (  # type: ignore[import-not-found]
     recording,
     write_bag,
 )
+from realsense_bags import compressed  # type: ignore[import-not-found]
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag_messages import read_header
@@ -296,3 +297,14 @@ def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
     converted = make_reel(path, '60,61,32,24', 'optical', lambda _: None)
     (_, frame), _ = converted.items()
     assert read_camera(dict(converted.messages(frame, 0))['camera_info']).fy == 61
+
+
+def test_a_bag_of_compressed_images_is_converted(tmp_path: Path) -> None:
+    entries = [entry for entry in recording(2) if entry.topic == INFO]
+    path = str(write_bag(tmp_path / 'bag', [*entries, *compressed(2)]))
+    reel = make_reel(path, None, 'optical', lambda _: None)
+    for (_, frame), expected in zip(reel.items(), open_source(path), strict=True):
+        assert isinstance(expected, RgbdFrame)
+        messages = dict(reel.messages(frame, 0))
+        np.testing.assert_array_equal(read_color(messages['color']), expected.color)
+        np.testing.assert_array_equal(read_depth(messages['depth']), expected.depth_m)

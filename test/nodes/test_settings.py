@@ -28,7 +28,6 @@ UNITS = {
     '_hz': 'hertz',
     '_mb': 'megabyte',
 }
-OF_PRESETS = {'d435i': 'd435i', 'tum_fr1': 'fr1', 'tum_fr2': 'fr2', 'tum_fr3': 'fr3'}
 
 
 @pytest.mark.parametrize('of_node', ALL, ids=lambda node: type(node).__name__)
@@ -70,7 +69,7 @@ def test_tracker_and_mapper_have_all_settings_of_a_run(of_node: Config) -> None:
 @pytest.mark.parametrize('path', sorted((ROOT / 'config').glob('*.yaml')), ids=lambda p: p.stem)
 def test_files_of_parameters_hold_what_the_camera_is_known_by(path: Path) -> None:
     """They load as they are, and cannot drift from the presets."""
-    sensor = PRESETS[OF_PRESETS[path.stem]].sensor
+    sensor = PRESETS[path.stem.removeprefix('tum_')].sensor
     for defaults in (Config(), TrackerSettings(), MapperSettings()):
         assert apply_file(defaults, path).sensor == sensor
 

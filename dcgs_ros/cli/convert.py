@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""`dcgs convert`: a sequence into a rosbag2 or a TUM folder, whole or not at all."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+from tqdm import tqdm
+
+from ..core.errors import DcgsError
+from ..core.frame import RgbdFrame
+from ..datasets.open import open_source
+from ..datasets.prefetch import prefetch
+from ..datasets.source import BadFrame, Source, SourceError
+from ..io.bag_storage import STORAGES, BagOptions
+from ..io.bag_writing import write_bag
+from ..io.staging import staged_folder
+from ..io.tum_folder import write_tum_folder
+from .arguments import ConvertArguments, UsageError
+from .outputs import refuse_used
+from .stopping import StopSignals
+from .summary import Row, table
+
+_FORMATS = (*STORAGES, 'tum')
+_BY_SUFFIX = {'.db3': 'sqlite3', '.tum': 'tum'}
+_NAMED = 10  # bad frames in the summary; the rest is counted
+
+
+class _StoppedError(DcgsError):
+    """A signal came."""
+
+
+@dataclass
+class _Passed:
+    """What came by."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    bad: list[BadFrame] = field(default_factory=list)
+
+    def frames(
+        self, items: Iterable[RgbdFrame | BadFrame], stopped: Callable[[], bool]
+    ) -> Iterator[RgbdFrame]:
+        """Let the good frames by; raises `SourceError` where there was none, `_StoppedError`."""
+        for item in items:
+            if stopped():
+                raise _StoppedError
+            if isinstance(item, BadFrame):
+                self.bad.append(item)
+            else:
+                self.stamps_ns.append(item.stamp_ns)
+                yield item
+        if not self.stamps_ns:
+            first = f'; the first: {self.bad[0].name}: {self.bad[0].reason}' if self.bad else ''
+            raise SourceError(f'no usable frame: {len(self.bad)} skipped{first}')
+
+
+def execute(arguments: ConvertArguments) -> int:
+    """Convert the sequence; where a signal comes before the end, nothing is written."""
+    kind = _check(arguments)
+    source = open_source(arguments.source, arguments.camera, arguments.groundtruth)
+    total = min(len(source), arguments.max_frames or len(source))
+    passed, start = _Passed(), time.perf_counter()
+    with StopSignals() as stop:
+        try:
+            with (
+                staged_folder(arguments.dest) as folder,
+                closing(prefetch(islice(source, total))) as items,
+                tqdm(items, total=total, unit='frame', disable=None, dynamic_ncols=True) as bar,
+            ):
+                frames = passed.frames(bar, lambda: stop.status != 0)
+                lost = _write(kind, folder, source, frames, arguments)
+                if stop.status:
+                    raise _StoppedError
+        except _StoppedError:
+            print(f'dcgs: stopped; {arguments.dest} is not written', file=sys.stderr)
+            return stop.status
+    rows = _rows(arguments.dest, passed, lost, time.perf_counter() - start)
+    print(table(f'{source.name} as {kind}', rows), flush=True)
+    return 0
+
+
+def _check(arguments: ConvertArguments) -> str:
+    """Refuse what makes no sense before anything is read; returns the format."""
+    kind = arguments.format or _BY_SUFFIX.get(arguments.dest.suffix, 'mcap')
+    if kind not in _FORMATS:
+        raise UsageError(f'--format {kind}: one of {", ".join(_FORMATS)}')
+    if kind == 'tum' and (arguments.compress or arguments.zstd):
+        raise UsageError(
+            '--compress and --zstd are for a rosbag2: the images of a TUM folder are PNGs'
+        )
+    if arguments.max_frames is not None and arguments.max_frames < 1:
+        raise UsageError(f'--max-frames {arguments.max_frames}: at least one frame is needed')
+    refuse_used(arguments.dest)
+    return kind
+
+
+def _write(
+    kind: str,
+    folder: Path,
+    source: Source,
+    frames: Iterator[RgbdFrame],
+    arguments: ConvertArguments,
+) -> list[str]:
+    """Write the folder; returns what was lost."""
+    if kind == 'tum':
+        return write_tum_folder(folder, source, frames)
+    options = BagOptions(kind, arguments.compress, arguments.zstd)
+    return write_bag(folder, source, frames, options)
+
+
+def _rows(dest: Path, passed: _Passed, lost: list[str], seconds: float) -> list[Row]:
+    """Show what was written, and what was not."""
+    frames, bad, stamps_ns = len(passed.stamps_ns), passed.bad, passed.stamps_ns
+    size_mb = 1e-6 * sum(path.stat().st_size for path in dest.rglob('*') if path.is_file())
+    return [
+        ('frames', f'{frames}, {1e-9 * (stamps_ns[-1] - stamps_ns[0]):.1f} s'),
+        ('skipped', f'{len(bad)}'),
+        *[('', f'{item.name}: {item.reason}') for item in bad[:_NAMED]],
+        ('lost', '; '.join(lost) or 'nothing'),
+        ('size', f'{size_mb:.1f} MB'),
+        ('speed', f'{frames / seconds:.0f} pairs/s'),
+        ('written to', str(dest)),
+    ]

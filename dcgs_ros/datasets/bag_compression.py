@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is compressed in recordings: files, chunks or messages. No header is believed its sizes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import BinaryIO
+
+ZSTD_SUFFIX = '.zstd'
+
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+_MAX_RATIO = 64
+_MIN_LIMIT, _MAX_LIMIT = 1 << 26, 1 << 30  # bytes
+_STEP = 1 << 20  # bytes
+
+
+@contextmanager
+def plain_file(path: Path) -> Iterator[Path]:
+    """Path to read: of the file itself, or of a temporary copy without its zstd.
+
+    Where the compressed data break off so does the copy.
+    """
+    if path.suffix != ZSTD_SUFFIX:
+        yield path
+        return
+    import zstandard
+
+    limit = max(_MAX_LIMIT, _MAX_RATIO * path.stat().st_size)  # on the disk
+    with TemporaryDirectory() as folder:
+        copy = Path(folder, path.stem)
+        with path.open('rb') as packed, copy.open('wb') as out:
+            reader = zstandard.ZstdDecompressor().stream_reader(packed)
+            try:
+                while (data := reader.read(_STEP)) and out.tell() < limit:
+                    out.write(data)
+            except zstandard.ZstdError:
+                pass  # whoever reads the copy misses its end
+        yield copy
+
+
+def size_limit(file: BinaryIO) -> int:
+    """Bytes that a part of a file may have in memory, whatever its header says."""
+    return min(_MAX_LIMIT, max(_MIN_LIMIT, _MAX_RATIO * os.fstat(file.fileno()).st_size))
+
+
+def unpack(data: bytes) -> bytes:
+    """Undo the zstd of a message that was compressed by itself; raises `ValueError`."""
+    if data[:4] != _ZSTD_MAGIC:  # CDR begins with a zero
+        return data
+    return _unzstd(data, _MIN_LIMIT)
+
+
+def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:
+    """Undo a compression that MCAP knows; what is beyond `limit` bytes is cut off or refused.
+
+    Raises `ValueError`.
+    """
+    if kind == '':
+        return data
+    if kind == 'zstd':
+        return _unzstd(data, limit)
+    if kind != 'lz4':
+        raise ValueError(f'compression {kind!r} is not known')
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+    try:
+        return LZ4FrameDecompressor().decompress(data, max_length=limit)
+    except (RuntimeError, EOFError, MemoryError) as error:
+        raise ValueError(f'its lz4 is broken: {error}') from error
+
+
+def _unzstd(data: bytes | memoryview, limit: int) -> bytes:
+    """Undo zstd."""
+    import zstandard
+
+    try:
+        size = zstandard.frame_content_size(data)  # negative where it is not told
+        if size > limit:
+            raise ValueError(f'{size} bytes are compressed where at most {limit} can be')
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise ValueError(f'its zstd is broken: {error}') from error

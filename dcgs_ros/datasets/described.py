@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Folders that a small file in them, `dcgs.yaml`, describes: anybody's own recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..core.camera import PinholeCamera
+from ..core.sensor import SensorError, SensorNoise
+from ..io.atomic import replacing
+from ..io.trajectory import read_tum
+from .association import Pair
+from .camera_files import camera_of, chosen_camera, depth_unit_of, number_of, shown
+from .cameras import PRESETS, CameraPreset
+from .image_sequence import ImageSequence
+from .matrices import read_text
+from .named_images import pair_by_name, pair_by_order
+from .source import SourceError
+from .tum_index import check_inside, pair_images, read_index
+
+FILE = 'dcgs.yaml'
+LAYOUT = f'{FILE} and the images it tells of (described in docs/datasets.md)'
+
+_CAMERA_KEYS = ('width', 'height', 'fx', 'fy', 'cx', 'cy')
+_SENSOR_KEYS = tuple(field.name for field in dataclasses.fields(SensorNoise))
+_KEYS = (
+    *('camera', 'color', 'depth', 'rate_hz', 'stamps'),
+    *('depth_per_metre', 'sensor', 'groundtruth'),
+)
+_MAX_BYTES = 2**16
+# Besides YAML's own errors: what PyYAML's constructors let through for tags with odd values.
+_NO_YAML = (
+    *(yaml.YAMLError, ValueError, TypeError, ArithmeticError, LookupError),
+    *(AttributeError, RecursionError),
+)
+
+
+def is_described(path: Path) -> bool:
+    """Tell whether the path is such a folder."""
+    return (path / FILE).is_file()
+
+
+def open_described(
+    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+) -> ImageSequence:
+    """Open a folder as its `dcgs.yaml` says.
+
+    `camera: PRESET` or `{width, height, fx, fy, cx, cy, distortion: [...]}`; `color`, `depth`:
+    either index files (`.txt`, as TUM's rgb.txt), or patterns of file names (`rgb/*.png`) with
+    `rate_hz: 30` (paired in order) or `stamps: names` (the names are seconds);
+    `depth_per_metre`, which a preset has; optionally `sensor: {a_m, b_per_m, depth_min_m,
+    depth_max_m}` and `groundtruth`, a TUM trajectory. The arguments go before the file.
+
+    Raises `SourceError` (or `TrajectoryFileError`) naming the file and the key or line.
+    """
+    folder = Path(path)
+    file = folder / FILE
+    try:
+        tree = _load(file)
+        own = _own_camera(tree)
+        pairs = _pairs(folder, tree)
+        if groundtruth is None and 'groundtruth' in tree:
+            groundtruth = folder / _path_at(tree, 'groundtruth')
+    except (ValueError, SensorError) as error:
+        raise SourceError(f'{file}: {error}') from None
+    chosen = chosen_camera(camera, own, folder, pairs)
+    return ImageSequence(
+        os.path.basename(os.path.abspath(folder)),
+        folder,
+        pairs,
+        chosen.camera,
+        chosen.sensor,
+        own.depth_per_metre,
+        None if groundtruth is None else read_tum(groundtruth),
+    )
+
+
+def write_description(
+    folder: Path, camera: PinholeCamera, sensor: SensorNoise, depth_per_metre: float
+) -> None:
+    """Describe a folder in TUM's layout; `open_described` then has exactly these values.
+
+    Raises `SourceError` where the file cannot be written.
+    """
+    intrinsics = {key: float(getattr(camera, key)) for key in _CAMERA_KEYS[2:]}
+    distortion = [float(number) for number in camera.distortion]
+    size = {'width': int(camera.width), 'height': int(camera.height)}
+    tree: dict[str, Any] = {
+        'camera': {**size, **intrinsics, 'distortion': distortion},
+        'color': 'rgb.txt',
+        'depth': 'depth.txt',
+        'depth_per_metre': float(depth_per_metre),
+        'sensor': {key: float(getattr(sensor, key)) for key in _SENSOR_KEYS},
+    }
+    if (folder / 'groundtruth.txt').is_file():
+        tree['groundtruth'] = 'groundtruth.txt'
+    try:
+        with replacing(folder / FILE) as temporary:
+            temporary.write_text(yaml.safe_dump(tree, sort_keys=False), encoding='utf-8')
+    except OSError as error:
+        raise SourceError(f'{folder / FILE}: cannot be written: {error.strerror}') from error
+
+
+def _load(file: Path) -> dict[str, Any]:
+    text = read_text(file, _MAX_BYTES)
+    try:
+        tree = yaml.safe_load(text)
+    except _NO_YAML as error:
+        mark = getattr(error, 'problem_mark', None)
+        where = '' if mark is None else f' in line {mark.line + 1}'
+        problem = getattr(error, 'problem', None) or str(error).partition('\n')[0]
+        raise ValueError(f'no YAML: {problem}{where}') from None
+    _check_map(tree, 'the file holds', _KEYS)
+    return tree
+
+
+def _check_map(value: object, name: str, valid: tuple[str, ...]) -> None:
+    """Raise `ValueError` for what is no map, or has a key of another name."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f'{name} {shown(value)}, not a map of {", ".join(valid)}')
+    for unknown in value.keys() - set(valid):
+        raise ValueError(f'{name} a key {shown(unknown)}; there are {", ".join(valid)}')
+
+
+def _own_camera(tree: Mapping[str, Any]) -> CameraPreset:
+    """Camera, noise and depth unit; raises `ValueError` or `SensorError`."""
+    value = tree.get('camera')
+    if isinstance(value, str) and value in PRESETS:
+        preset = PRESETS[value]
+        camera, sensor = preset.camera, preset.sensor
+        tree = {'depth_per_metre': preset.depth_per_metre, **tree}
+    else:
+        camera, sensor = _camera(value), SensorNoise.structured_light()
+    if 'sensor' in tree:
+        _check_map(tree['sensor'], 'sensor has', _SENSOR_KEYS)
+        numbers = {key: number_of(tree['sensor'], key) for key in tree['sensor']}
+        sensor = dataclasses.replace(sensor, **numbers)
+    return CameraPreset(camera, sensor, depth_unit_of(tree, 'depth_per_metre'))
+
+
+def _camera(value: object) -> PinholeCamera:
+    if not isinstance(value, Mapping):
+        raise ValueError(
+            f'camera is {shown(value)}, neither a map of {", ".join(_CAMERA_KEYS)}, distortion '
+            f'nor one of {", ".join(PRESETS)}'
+        )
+    _check_map(value, 'camera has', (*_CAMERA_KEYS, 'distortion'))
+    distortion = value.get('distortion', [])
+    if not isinstance(distortion, list):
+        raise ValueError(f'camera.distortion is {shown(distortion)}, no list of numbers')
+    try:
+        return camera_of(value, _CAMERA_KEYS, distortion)
+    except ValueError as error:
+        raise ValueError(f'camera: {error}') from None
+
+
+def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[Pair]:
+    color, depth = _path_at(tree, 'color'), _path_at(tree, 'depth')
+    ways = [
+        name
+        for name, given in (
+            ('index files', color.endswith('.txt') and depth.endswith('.txt')),
+            ('rate_hz', 'rate_hz' in tree),
+            ('stamps', 'stamps' in tree),
+        )
+        if given
+    ]
+    if len(ways) != 1:
+        raise ValueError(
+            f'{" and ".join(ways) or "nothing"} for the stamps; there has to be one: color and '
+            'depth are index files (.txt), or rate_hz: NUMBER, or stamps: names'
+        )
+    if ways == ['index files']:
+        return pair_images(
+            folder,
+            *([row[0] for row in read_index(folder / name, 1)] for name in (color, depth)),
+        )
+    if ways == ['rate_hz']:
+        return pair_by_order(folder, color, depth, _rate(tree))
+    if tree['stamps'] != 'names':
+        raise ValueError(f'stamps is {shown(tree["stamps"])}; it can be: names')
+    return pair_by_name(folder, color, depth)
+
+
+def _rate(tree: Mapping[str, Any]) -> Fraction:
+    rate = number_of(tree, 'rate_hz')
+    if not 1e-3 <= rate <= 1e4:
+        raise ValueError(f'rate_hz is {rate:g}, not within 0.001 to 10000')
+    return Fraction(rate)
+
+
+def _path_at(tree: Mapping[str, Any], key: str) -> str:
+    """Return the path or pattern at a key; raises `ValueError` where it may lead elsewhere."""
+    value = tree.get(key)
+    if not isinstance(value, str) or not value:
+        raise ValueError(f'{key} is {shown(value)}, no path')
+    try:
+        check_inside(value)
+    except ValueError as error:
+        raise ValueError(f'{key}: {error}') from None
+    return value

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""ICL-NUIM: two rendered rooms, as the PNGs that it calls compatible with TUM's benchmark."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.sensor import SensorNoise
+from ..core.trajectory import Trajectory
+from ..io.trajectory import read_tum
+from .association import Entry, Pair
+from .camera_files import chosen_camera
+from .cameras import PRESETS
+from .image_sequence import ImageSequence
+from .numbered import stamp_of
+from .source import SourceError
+from .tum_index import read_index
+
+LAYOUT = 'associations.txt of depth and colour by frame number, and *.gt.freiburg (ICL-NUIM)'
+
+_TRUTH_SUFFIX = '.gt.freiburg'
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+def is_icl_nuim(path: Path) -> bool:
+    """Tell whether the path is a sequence's folder: by the truth in it, or by its name."""
+    name = os.path.basename(os.path.abspath(path))
+    known = bool(_truth_files(path)) or re.search(r'traj[0-9]n?_frei_png', name) is not None
+    return known and (path / 'associations.txt').is_file()
+
+
+def open_icl_nuim(
+    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+) -> ImageSequence:
+    """Open a sequence's folder; frame i is at i / 30 s.
+
+    `camera` replaces the dataset's by a preset's or by intrinsics. `groundtruth` is used instead
+    of the folder's `*.gt.freiburg`: another one of these, or a TUM trajectory.
+
+    Raises `SourceError` (or `TrajectoryFileError`) naming the file and the line.
+    """
+    folder = Path(path)
+    name = os.path.basename(os.path.abspath(folder))
+    preset = PRESETS['icl_nuim']
+    if re.search(r'traj[0-9]n(?![a-z])', name):
+        preset = dataclasses.replace(preset, sensor=SensorNoise.structured_light())
+    pairs = _read_pairs(folder / 'associations.txt')
+    chosen = chosen_camera(camera, preset, folder, pairs)
+    return ImageSequence(
+        name,
+        folder,
+        pairs,
+        chosen.camera,
+        chosen.sensor,
+        preset.depth_per_metre,
+        _read_truth(folder, groundtruth),
+    )
+
+
+def mirrored(T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses (..., 4, 4) of the y-up camera as those of one with y down, F T F.
+
+    ICL-NUIM projects with fy < 0. With F = diag(1, -1, 1) the point F p in the world F sees the
+    same pixel through F T F with fy > 0; images are what they were.
+    """
+    return _MIRROR @ T_world_cam @ _MIRROR
+
+
+def _truth_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f'*{_TRUTH_SUFFIX}'))
+
+
+def _read_pairs(path: Path) -> list[Pair]:
+    """Read rows of `number depth number colour`."""
+    return [
+        Pair(*(Entry(stamp_of(_number(path, entry.stamp_ns)), entry.path) for entry in row[::-1]))
+        for row in read_index(path, 2)
+    ]
+
+
+def _number(path: Path, stamp_ns: int) -> int:
+    """Frame number that was read as seconds."""
+    number, rest = divmod(stamp_ns, 1_000_000_000)
+    if rest or number < 0:
+        raise SourceError(f'{path}: {stamp_ns / 1e9:.9g} is no frame number: 0, 1, 2 ...')
+    return number
+
+
+def _read_truth(folder: Path, groundtruth: Path | str | None) -> Trajectory | None:
+    if groundtruth is None:
+        files = _truth_files(folder)
+        if len(files) > 1:
+            raise SourceError(
+                f'{folder}: which of {", ".join(file.name for file in files)} is the ground truth?'
+            )
+        if not files:
+            return None
+        groundtruth = files[0]
+    path = Path(groundtruth)
+    truth = read_tum(path)
+    if not path.name.endswith(_TRUTH_SUFFIX):
+        return truth
+    stamps_ns = [stamp_of(_number(path, stamp_ns)) for stamp_ns in truth.stamps_ns.tolist()]
+    return Trajectory(np.array(stamps_ns, dtype=np.int64), mirrored(truth.T_world_cam))

@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What realsense2_camera and RealSense Viewer record besides registered raw images."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from bags import (  # type: ignore[import-not-found]
+    COLOR,
+    DELAY_NS,
+    DEPTH,
+    INTERVAL_NS,
+    START_NS,
+    TYPES,
+    Entry,
+    color_of,
+    depth_entry,
+    depth_of,
+    image_entry,
+    info_entry,
+)
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
+
+DEPTH_CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 31.0, 23.0)
+T_COLOR_DEPTH = se3.exp(np.array([0.015, -0.002, 0.001, 0.01, -0.02, 0.03]))
+UNALIGNED = '/camera/camera/depth/image_rect_raw'
+DEPTH_INFO = '/camera/camera/depth/camera_info'
+DEPTH_OPTICAL = 'camera_depth_optical_frame'
+EXTRINSICS_TOPIC = '/camera/camera/extrinsics/depth_to_color'
+EXTRINSICS = 'realsense2_camera_msgs/msg/Extrinsics'
+VIEWER_COLOR = '/device_0/sensor_1/Color_0'
+VIEWER_DEPTH = '/device_0/sensor_0/Depth_0'
+
+TYPES.register(get_types_from_msg('float64[9] rotation\nfloat64[3] translation', EXTRINSICS))
+
+
+def unaligned(frames: int, camera: PinholeCamera = DEPTH_CAMERA) -> Iterator[Entry]:
+    """Depth as its sensor sees it, and its camera_info."""
+    for k in range(frames):
+        stamp_ns = START_NS + k * INTERVAL_NS
+        yield info_entry(stamp_ns, camera, DEPTH_INFO)
+        yield depth_entry(stamp_ns, depth_of(k), UNALIGNED, DEPTH_OPTICAL)
+
+
+def extrinsics_entry(T: np.ndarray, topic: str = EXTRINSICS_TOPIC) -> Entry:
+    """Rotation by columns, translation."""
+    message = TYPES.types[EXTRINSICS](T[:3, :3].T.ravel(), T[:3, 3].copy())
+    return _entry(topic, EXTRINSICS, START_NS, message)
+
+
+def static_entry(transforms: Iterable[tuple[str, str, np.ndarray]]) -> Entry:
+    """/tf_static of (parent, child, T_parent_child)."""
+    stamped = [
+        TYPES.types['geometry_msgs/msg/TransformStamped'](
+            _header(START_NS, parent), child, _transform(T)
+        )
+        for parent, child, T in transforms
+    ]
+    name = 'tf2_msgs/msg/TFMessage'
+    return _entry('/tf_static', name, START_NS, TYPES.types[name](stamped))
+
+
+def imu_entry(
+    topic: str,
+    stamp_ns: int,
+    acceleration: tuple[float, float, float],
+    rate: tuple[float, float, float],
+    missing: str = '',
+) -> Entry:
+    """Imu; `missing` is the quantity whose covariance begins with -1."""
+    vector = TYPES.types['geometry_msgs/msg/Vector3']
+    covariances = {name: np.zeros(9) for name in ('acceleration', 'rate')}
+    if missing:
+        covariances[missing][0] = -1
+    message = TYPES.types['sensor_msgs/msg/Imu'](
+        _header(stamp_ns, 'camera_imu_optical_frame'),
+        TYPES.types['geometry_msgs/msg/Quaternion'](0, 0, 0, 1),
+        np.zeros(9),
+        vector(*rate),
+        covariances['rate'],
+        vector(*acceleration),
+        covariances['acceleration'],
+    )
+    return _entry(topic, 'sensor_msgs/msg/Imu', stamp_ns, message)
+
+
+def pose_entry(stamp_ns: int, T: np.ndarray, topic: str = '/groundtruth') -> Entry:
+    """PoseStamped."""
+    transform, name = _transform(T), 'geometry_msgs/msg/PoseStamped'
+    place = transform.translation
+    point = TYPES.types['geometry_msgs/msg/Point'](place.x, place.y, place.z)
+    pose = TYPES.types['geometry_msgs/msg/Pose'](point, transform.rotation)
+    return _entry(topic, name, stamp_ns, TYPES.types[name](_header(stamp_ns, 'world'), pose))
+
+
+def compressed_entry(topic: str, stamp_ns: int, format_: str, data: bytes) -> Entry:
+    """Write a CompressedImage."""
+    name = 'sensor_msgs/msg/CompressedImage'
+    message = TYPES.types[name](
+        _header(stamp_ns, 'camera_color_optical_frame'), format_, np.frombuffer(data, np.uint8)
+    )
+    return _entry(topic, name, stamp_ns, message)
+
+
+def encoded(extension: str, pixels: np.ndarray) -> bytes:
+    """Image file of RGB or depth."""
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
+    return bytes(cv2.imencode(extension, pixels)[1])
+
+
+def quantised(depth_m: np.ndarray, quantisation: float = 100.0, farthest_m: float = 10.0) -> bytes:
+    """Inverse depth behind compressed_depth_image_transport's header, as it does 32FC1."""
+    a = quantisation * (quantisation + 1.0)
+    b = 1.0 - a / farthest_m
+    inverse = np.zeros(depth_m.shape, np.uint16)
+    near = (depth_m > 0) & (depth_m < farthest_m)
+    inverse[near] = (a / depth_m[near] + b).astype(np.uint16)
+    return struct.pack('<Iff', 0, a, b) + encoded('.png', inverse)
+
+
+def compressed(frames: int) -> Iterator[Entry]:
+    """Lossless colour and depth, as image_transport names them."""
+    for k in range(frames):
+        stamp_ns = START_NS + k * INTERVAL_NS
+        png = encoded('.png', color_of(k))
+        yield compressed_entry(f'{COLOR}/compressed', stamp_ns, 'rgb8; png compressed bgr8', png)
+        yield compressed_entry(
+            f'{DEPTH}/compressedDepth',
+            stamp_ns,
+            '16UC1; compressedDepth png',
+            bytes(12) + encoded('.png', depth_of(k)),
+        )
+
+
+def viewer(
+    frames: int, camera: PinholeCamera, T_color_ref: np.ndarray, units_m: float = 0.001
+) -> Iterator[Entry]:
+    """RealSense Viewer's topics; the depth sensor is `DEPTH_CAMERA`, turned from the reference."""
+    T_depth_ref = se3.inverse(T_COLOR_DEPTH) @ T_color_ref
+    for stream, T in ((VIEWER_COLOR, T_color_ref), (VIEWER_DEPTH, T_depth_ref)):
+        name = 'geometry_msgs/msg/Transform'
+        yield _entry(f'{stream}/tf/0', name, START_NS, _transform(T))
+    unit = TYPES.types['std_msgs/msg/Float32'](units_m)
+    name = '/device_0/sensor_0/option/Depth_Units/value'
+    yield _entry(name, 'std_msgs/msg/Float32', START_NS, unit)
+    yield info_entry(START_NS, camera, f'{VIEWER_COLOR}/info/camera_info')
+    yield info_entry(START_NS, DEPTH_CAMERA, f'{VIEWER_DEPTH}/info/camera_info')
+    for k in range(frames):
+        stamp_ns = START_NS + k * INTERVAL_NS
+        depth = f'{VIEWER_DEPTH}/image/data'
+        yield image_entry(depth, stamp_ns, 'mono16', depth_of(k), frame='0')
+        yield image_entry(f'{VIEWER_COLOR}/image/data', stamp_ns, 'rgb8', color_of(k), frame='0')
+
+
+def write_ros1(path: Path, entries: Iterable[Entry]) -> Path:
+    """Write the same messages as a .bag of ROS 1."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(path) as writer:
+        connections: dict[str, Any] = {}
+        for entry in entries:
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type, typestore=store
+                )
+            raw = TYPES.cdr_to_ros1(entry.cdr, entry.type)
+            writer.write(connections[entry.topic], entry.recorded_ns, bytes(raw))
+    return path
+
+
+def _transform(T: np.ndarray) -> Any:
+    w, x, y, z = se3.to_quaternion(T)
+    return TYPES.types['geometry_msgs/msg/Transform'](
+        TYPES.types['geometry_msgs/msg/Vector3'](*T[:3, 3]),
+        TYPES.types['geometry_msgs/msg/Quaternion'](x, y, z, w),
+    )
+
+
+def _header(stamp_ns: int, frame: str) -> Any:
+    stamp = TYPES.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 1_000_000_000))
+    return TYPES.types['std_msgs/msg/Header'](stamp, frame)
+
+
+def _entry(topic: str, name: str, stamp_ns: int, message: Any) -> Entry:
+    return Entry(topic, name, stamp_ns + DELAY_NS, bytes(TYPES.serialize_cdr(message, name)))

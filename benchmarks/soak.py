@@ -23,6 +23,7 @@ from dcgs_ros.datasets.open import open_source
 from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_until
 
 _LOADED_S = 300.0
+_KEPT_MB = 100.0  # of keyframes' images, a third of the defaults: reached in the first minutes
 _WARM_SHARE = 1 / 3  # of the time; what memory grows by after it is told
 _COLUMNS = ('minute', 'tracked', 'median ms', 'p95 ms', 'tracker MB', 'mapper MB')
 _COLUMNS += ('Gaussians', 'keyframes')
@@ -55,8 +56,9 @@ def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
     rows = []
     with Processes(Path(tempfile.mkdtemp(prefix='dcgs-soak-'))) as processes:
         observer = Observer(processes.domain)
-        tracker = processes.start('tracker', noise | {'node.reliability': 'reliable'})
-        mapper = processes.start('mapper', noise)
+        kept = {'node.reliability': 'reliable', 'node.keyframe_memory_mb': _KEPT_MB}
+        tracker = processes.start('tracker', noise | kept)
+        mapper = processes.start('mapper', noise | {'mapping.image_memory_mb': _KEPT_MB})
         wait_until(
             lambda: observer.ready('dcgs_tracker') and observer.ready('dcgs_mapper'),
             _LOADED_S, 'nodes',

@@ -17,7 +17,7 @@ _ARGUMENTS = [
     DeclareLaunchArgument(
         'source',
         default_value='synthetic:room',
-        description='Folder in TUM layout, rosbag2 folder or file, synthetic:room|plane|zigzag.',
+        description='A sequence in any format: a rosbag2, a dataset, synthetic:room|plane|zigzag.',
     ),
     DeclareLaunchArgument(
         'bag', default_value='', description='Bag to play; another name for `source`.'

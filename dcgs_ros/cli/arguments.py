@@ -26,8 +26,10 @@ class RunArguments:
     """Track and map a sequence; write trajectory, map, report and pictures into a new folder."""
 
     source: Source
-    """A folder in TUM layout, a rosbag2 folder or file, or synthetic:room|plane|zigzag, to which
-    may be added ?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1."""
+    """A folder of TUM, Bonn, ScanNet (or its .sens), Replica, 7-Scenes or ICL-NUIM, or with a
+    dcgs.yaml; a rosbag2 folder, .mcap, .db3 or .bag, to which ?color=TOPIC&depth=TOPIC may be
+    added; or synthetic:room|plane|zigzag[?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1].
+    docs/datasets.md has all."""
 
     out: Annotated[Path | None, arg(metavar='DIR')] = None
     """Folder to write, new or empty; by default runs/NAME-N with the first N that is free."""
@@ -67,7 +69,8 @@ class RunArguments:
     """Trajectory to compare with, in TUM's format; by default the dataset's own."""
 
     camera: Camera = None
-    """fr1, fr2, fr3, d435i, or intrinsics in pixels; by default told by the folder's name."""
+    """A preset (fr1, fr2, fr3, bonn, d435i, d435i_848, d435i_1280, scannet, replica, 7scenes,
+    icl_nuim), or intrinsics in pixels; by default what the sequence says."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +129,11 @@ class InfoArguments:
     """Describe a sequence: its camera, its timing, and what its first frames hold."""
 
     source: Source
-    """A folder in TUM layout, a rosbag2, or a synthetic:... address, as for run."""
+    """A sequence in any format, as for run."""
 
     camera: Camera = None
-    """fr1, fr2, fr3, d435i, or intrinsics in pixels; by default told by the folder's name."""
+    """A preset (fr1, fr2, fr3, bonn, d435i, d435i_848, d435i_1280, scannet, replica, 7scenes,
+    icl_nuim), or intrinsics in pixels; by default what the sequence says."""
 
 
 @dataclass(frozen=True)

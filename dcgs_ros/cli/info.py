@@ -13,6 +13,7 @@ from ..core.camera import PinholeCamera
 from ..core.frame import RgbdFrame
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
+from ..datasets.bag import BagSource
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source
@@ -29,10 +30,12 @@ def execute(arguments: InfoArguments) -> int:
     rows = [
         ('frames', f'{len(source)}; what follows is of the first {len(frames) + len(bad)}'),
         *_timing_rows(frames, len(source)),
+        *_recording_rows(source),
         ('camera', _camera(source.camera)),
         ('sensor', _sensor(source.sensor)),
         *_depth_rows(frames, source.sensor),
         ('ground truth', _truth(source.groundtruth)),
+        ('imu', 'none' if next(source.imu(), None) is None else 'recorded; not used for tracking'),
         ('bad frames', f'{len(bad)} in the sample'),
         *[('', f'{item.name}: {item.reason}') for item in bad],
     ]
@@ -63,6 +66,21 @@ def _timing_rows(frames: list[RgbdFrame], total: int) -> list[Row]:
             f"{np.median(lags_ms):+.1f} ms from colour's (median; 5-95 %: "
             f'{low:+.1f} to {high:+.1f})',
         ),
+    ]
+
+
+def _recording_rows(source: Source) -> list[Row]:
+    """Show what was chosen of a recording, and how its depth comes to the colour's pixels."""
+    if not isinstance(source, BagSource):
+        return []
+    topics, mount = source.recorded.topics, source.recorded.mount
+    registered = 'as recorded'
+    if mount is not None:
+        apart_mm = 1e3 * np.linalg.norm(mount.T_color_depth[:3, 3])
+        registered = f'here, by the recorded extrinsics: {apart_mm:.1f} mm apart'
+    return [
+        ('topics', f'{topics.color}, {topics.depth}'),
+        ('registered', registered),
     ]
 
 

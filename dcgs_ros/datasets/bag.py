@@ -16,7 +16,7 @@ from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
 from ..io.ros_images import MessageError
 from ..io.trajectory import format_stamp_ns, read_tum
-from .bag_camera import find_camera
+from .bag_camera import RecordedCamera, find_camera
 from .bag_imu import imu_samples
 from .bag_messages import DamagedError, RawMessage, decode, raw_messages, read_header
 from .bag_survey import survey
@@ -42,6 +42,7 @@ class BagSource:
     camera: PinholeCamera
     sensor: SensorNoise
     groundtruth: Trajectory | None
+    recorded: RecordedCamera
 
     def __init__(
         self,
@@ -54,9 +55,9 @@ class BagSource:
         """Find the camera and pair the stamps."""
         self._path = path
         self.name = os.path.basename(os.path.abspath(path))
-        self._recorded = find_camera(path, camera, color_topic, depth_topic)
-        self.camera, self.sensor = self._recorded.camera, self._recorded.sensor
-        topics = self._recorded.topics
+        self.recorded = find_camera(path, camera, color_topic, depth_topic)
+        self.camera, self.sensor = self.recorded.camera, self.recorded.sensor
+        topics = self.recorded.topics
         self._survey = survey(path, topics.color, topics.depth)
         self.groundtruth = self._survey.groundtruth
         if groundtruth is not None:
@@ -68,7 +69,7 @@ class BagSource:
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
         """Read the frames one by one; an unreadable one comes as a `BadFrame`."""
-        topics, pairs = self._recorded.topics, self._survey.pairs
+        topics, pairs = self.recorded.topics, self._survey.pairs
         colors = _Images(self._path, topics.color, {color_ns for color_ns, _ in pairs})
         depths = _Images(self._path, topics.depth, {depth_ns for _, depth_ns in pairs})
         for number, (color_ns, depth_ns) in enumerate(pairs, start=1):
@@ -76,7 +77,7 @@ class BagSource:
             try:
                 if color is None or depth is None:
                     raise FrameError(f'not there, or more than {_MAX_WAITING} images late')
-                images = self._recorded.images(
+                images = self.recorded.images(
                     decode(color.cdr, color.type), decode(depth.cdr, depth.type)
                 )
                 frame: RgbdFrame | BadFrame = RgbdFrame(color_ns, depth_ns, *images)

@@ -3,7 +3,8 @@
 """MCAP files, whole or damaged: https://mcap.dev/spec.
 
 What is missing in a damaged file is mostly its end, with the index. The records' own lengths lead
-from one to the next, so an index is made in passing; the file's is used only behind a gap.
+from one to the next, so an index is made in passing; the file's is used only behind a gap. (Of the
+libraries `rosbags` needs the end, and `mcap` takes what breaks off within a chunk for whole.)
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .mcap_records import (
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
+    MESSAGE_INDEX,
     RECORD,
     SCHEMA,
     STATISTICS,
@@ -71,6 +73,7 @@ class _McapFile:
         self._limit = size_limit(file)
         self._schemas: dict[int, str] = {}
         self._blocks: list[Block] = []
+        self._within: dict[int, set[int]] = {}  # channels of each chunk, if the file tells
         self.channels: dict[int, tuple[str, str]] = {}  # topic and type
         self.counts: dict[int, int] = {}  # messages of each channel, by the statistics
         self._broken_at: int | None = None  # where the records cannot be followed any further
@@ -145,6 +148,9 @@ class _McapFile:
         if opcode == CHUNK:
             (start_ns, _) = struct.unpack('<QQ', self._file.read(16))
             self._blocks.append(Block(start_ns, at, length, opcode))
+        elif opcode == MESSAGE_INDEX and self._blocks:
+            (key,) = struct.unpack('<H', self._file.read(2))
+            self._within.setdefault(self._blocks[-1].at, set()).add(key)
         elif opcode == MESSAGE:
             (_, _, stamp_ns, _) = MESSAGE_HEAD.unpack(self._file.read(MESSAGE_HEAD.size))
             self._blocks.append(Block(stamp_ns, at, length, opcode))
@@ -182,6 +188,9 @@ class _McapFile:
         self, block: Block, topics: Collection[str] | None
     ) -> Iterator[RawMessage]:
         """Read the messages of a block in their order in it."""
+        if topics is not None and (within := self._within.get(block.at)):
+            if not any(self.channels.get(key, ('',))[0] in ('', *topics) for key in within):
+                return  # else each topic's reader would decompress all chunks
         body = memoryview(self._read(block.at, block.length))
         if block.opcode == MESSAGE:
             yield from self._message(body, topics)

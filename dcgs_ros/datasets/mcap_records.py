@@ -12,7 +12,8 @@ from typing import NamedTuple
 from .bag_compression import decompress
 
 MAGIC = b'\x89MCAP0\r\n'
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS = 2, 3, 4, 5, 6, 8, 11
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 2, 3, 4, 5, 6, 7
+CHUNK_INDEX, STATISTICS = 8, 11
 RECORD = struct.Struct('<BQ')  # opcode, length of what follows
 MESSAGE_HEAD = struct.Struct('<HIQQ')  # channel, sequence, logged and published in ns
 CHUNK_HEAD = struct.Struct('<QQQI')  # first and last message in ns, size, CRC

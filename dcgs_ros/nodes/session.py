@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -36,6 +37,7 @@ from .messages.poses import matrix
 from .transport import RELIABLE, latched, prepare, sensor_qos
 
 _START = 'import sys; from dcgs_ros.nodes.{} import main; sys.exit(main())'
+_DOMAINS = 101  # those whose ports are free on every Linux
 _END_S = 20.0
 _LEAVE_S = 5.0
 _POLL_S = 0.02
@@ -46,7 +48,7 @@ class Processes:
 
     def __init__(self, logs: Path, discovery: str = 'LOCALHOST') -> None:
         """Write logs, a file a node, into `logs`; `discovery` SUBNET lets it be several hosts."""
-        self.domain = random.SystemRandom().randrange(101)
+        self._claim, self.domain = _claim_domain()
         self._logs = logs
         self._running: list[subprocess.Popen[bytes]] = []
         prepare()
@@ -97,6 +99,7 @@ class Processes:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        self._claim.close()
 
 
 class Observer:
@@ -209,6 +212,22 @@ def wait_until(condition: Callable[[], bool], timeout_s: float, what: str) -> No
 def sensor_parameters(sensor: SensorNoise) -> dict[str, Any]:
     """Parameters that tell tracker and mapper of a sequence's sensor."""
     return {f'sensor.{key}': value for key, value in flatten(sensor).items()}
+
+
+def _claim_domain() -> tuple[socket.socket, int]:
+    """Choose a ROS domain that no other session of this host has: they would hear each other.
+
+    It is taken while the socket is open.
+    """
+    for domain in random.SystemRandom().sample(range(_DOMAINS), _DOMAINS):
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            claim.bind(f'\0dcgs-ros-domain-{domain}')
+        except OSError:
+            claim.close()
+        else:
+            return claim, domain
+    raise OSError(f'all of {_DOMAINS} ROS domains are taken')
 
 
 def _yaml(value: Any) -> str:

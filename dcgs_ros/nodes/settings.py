@@ -116,13 +116,13 @@ class ReplaySettings(Stage):
 
     source: str = described(
         '',
-        'What to play: a folder in TUM layout, a rosbag2 folder, a .mcap or .db3 file, or '
-        'synthetic:room|plane|zigzag, to which may be added ?frames=300&seed=0&sensor=kinect.',
+        'What to play: a sequence in any format that dcgs run takes, such as a TUM folder, a '
+        'rosbag2, a .sens, or synthetic:room?frames=300&seed=0&sensor=kinect.',
     )
     camera: str = described(
         'auto',
-        'Camera of a folder of images: fr1, fr2, fr3, d435i, or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in '
-        "pixels; auto: told by the folder's name. Bags and synthetic sources have their own.",
+        'Camera of the sequence: a preset (fr1, d435i, replica ...), or '
+        'fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels; auto: what the sequence says.',
     )
     rate: float = ranged(
         1.0, 0, 1000, 'Speed against that of the recording; 0: as fast as possible.'

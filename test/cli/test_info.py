@@ -51,3 +51,19 @@ def test_a_synthetic_sequence_and_one_without_anything_usable(
     lines = lines_of(capsys.readouterr().out)
     assert lines['bad frames'] == '2 in the sample'
     assert 'depth' not in lines
+
+
+def test_of_a_recording_it_is_said_what_was_chosen(
+    tum_folder: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip('rosbags')
+    bag = str(tmp_path / 'bag')
+    assert main(['convert', str(tum_folder(frames=5)), bag, '--camera', '60,61,31.5,23.5']) == 0
+    capsys.readouterr()
+    assert main(['info', bag]) == 0
+    lines = lines_of(capsys.readouterr().out)
+    color, depth = lines['topics'].split(', ')
+    assert color == '/camera/camera/color/image_raw'
+    assert depth == '/camera/camera/aligned_depth_to_color/image_raw'
+    assert lines['registered'] == 'as recorded'
+    assert lines['imu'] == 'none'

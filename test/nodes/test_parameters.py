@@ -214,3 +214,15 @@ def test_others_can_ask_and_set_over_the_services(declare: Declare) -> None:
     assert call(SetParametersAtomically, 'set_parameters_atomically', request).result.successful
     assert parameters.settings.mapping.max_gaussians == 5000
     asking.destroy_node()
+
+
+def test_a_name_that_is_no_setting_is_told(
+    declare: Declare, capfd: pytest.CaptureFixture[str]
+) -> None:
+    _, parameters, _ = declare(
+        ReplaySettings(), '-p', 'sorce:=synthetic:plane', '-p', 'use_sim_time:=true'
+    )
+    assert parameters.settings == ReplaySettings()
+    told = capfd.readouterr().err
+    assert 'unknown parameters sorce are ignored' in told
+    assert 'use_sim_time' not in told

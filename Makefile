@@ -4,6 +4,7 @@
 #   make demo      track and map a synthetic room, into a new folder of runs/
 #   make demo-ros  the same over ROS topics, each node a process of its own
 #   make test      the tests; real sequences too where DCGS_TEST_DATA names their folder
+#   make quick     those that take no time, on all cores: under a minute
 #   make lint      ruff and mypy
 #   make bench     the speed tables
 #
@@ -19,7 +20,7 @@ PIP := $(VENV_PYTHON) -m pip install --quiet --disable-pip-version-check \
 	--constraint $(VENV)/constraints.txt
 CHECKED := dcgs_ros test $(wildcard benchmarks)
 
-.PHONY: demo demo-ros test lint bench
+.PHONY: demo demo-ros test quick lint bench
 .DEFAULT_GOAL := demo
 
 # With a sourced ROS 2 the environment sees the system's packages, and constraints.txt does not
@@ -58,6 +59,9 @@ demo-ros: $(INSTALLED)
 
 test: $(TOOLED)
 	$(VENV_PYTHON) -m pytest
+
+quick: $(TOOLED)
+	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto
 
 lint: $(TOOLED)
 	$(VENV_PYTHON) -m ruff check .

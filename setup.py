@@ -54,6 +54,7 @@ setup(
             'mcap-ros2-support>=0.5',  # a second opinion on the bags that are written
             'mypy>=1.8',
             'pytest>=7.4',
+            'pytest-xdist>=3.5',
             'ruff>=0.5',
             'scikit-image>=0.22',
             'torch>=2.2',  # the reference of the renderer and of LPIPS

@@ -139,6 +139,7 @@ def test_core_needs_no_ros_no_torch_and_none_of_the_outer_rings() -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('ring', ['datasets', 'io', 'evaluation'])
 def test_the_middle_ring_needs_no_ros_and_nothing_outside_it(ring: str) -> None:
     loaded = loaded_by(f'dcgs_ros.{ring}')

@@ -32,7 +32,7 @@ from dcgs_ros.io.trajectory import read_tum, write_tum
 PRINTED = 1e-4  # dB and shares: what nine decimals of a pose leave
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images of `tum_folder`
 
-pytestmark = pytest.mark.usefixtures('small_images')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ FLOAT32 = 1e-5  # relative
 FULL_ROOM = ('synthetic:room?frames=8', '--quality', 'draft', '--set', 'mapping.final_steps=20')
 STEPS = 10_000  # more than any test waits for
 
-pytestmark = pytest.mark.usefixtures('small_images')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
 
 
 @pytest.fixture(scope='module')

@@ -31,7 +31,7 @@ LEVEL = 1  # of 255: a pose's nine decimals may turn a half
 MILLIMETRE = 1
 FILM_LEVELS = 12  # mean error that a video codec may make
 
-pytestmark = pytest.mark.usefixtures('small_images')
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
 
 
 @pytest.fixture

@@ -82,6 +82,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return track_into(tmp_path_factory.mktemp('runs') / 'room', ROOM, '--set', 'threads=1')
 
 
+@pytest.mark.slow
 def test_a_run_tracks_the_room_and_writes_its_folder(room: Run) -> None:
     assert room.status == 0, room.err
     assert room.files() == TRACKS
@@ -168,6 +169,7 @@ def test_evaluate_finds_what_the_report_says(
     assert f'{report["ate"]["rmse_cm"]:.2f} cm RMSE' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_max_frames_ends_a_run_early(room: Run, tmp_path: Path) -> None:
     short = track_into(tmp_path / 'short', ROOM, '--max-frames', '5')
     assert short.status == 0

@@ -232,6 +232,7 @@ def test_surfaces_seen_from_behind_are_not_paired() -> None:
     assert not (pairs.targets.perp >= 0).any()
 
 
+@pytest.mark.slow
 def test_pairs_are_the_nearest_gaussians_with_their_covariance() -> None:
     gaussians, cloud = map_of(CORNER), cloud_of(CORNER, seed=6)
     pairs = DepthTerm(cloud, gaussians, FOCAL_PX, PATIENT).associate(T_WORLD_CAM, RADIUS_M)

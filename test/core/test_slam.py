@@ -391,6 +391,7 @@ def test_online_the_mapper_goes_on_while_nothing_comes(session: Session) -> None
     assert session.mapper.log[:2] == ['insert 0', 'update']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('what', ['step', 'insert'])
 def test_online_the_tracker_never_waits_for_the_mapper(session: Session, what: str) -> None:
     busy = threading.Event()

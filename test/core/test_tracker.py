@@ -113,6 +113,7 @@ def restored_threads() -> Iterator[None]:
     jit.set_threads(None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('address', [IDEAL, KINECT])
 @pytest.mark.parametrize('ablation', ABLATIONS)
 def test_every_ablation_follows_the_camera(address: str, ablation: Ablation) -> None:

@@ -255,6 +255,7 @@ def test_what_has_no_header_is_refused(cdr: bytes) -> None:
         read_header(cdr)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('apart', [False, True])
 def test_memory_does_not_grow_with_the_recording(bag: Bag, apart: bool) -> None:
     def peak(path: Path) -> float:

@@ -354,6 +354,7 @@ def test_extrinsics_stand_beside_the_depth_they_are_of(bag: Bag) -> None:
         BagSource(bag([*images, other]))
 
 
+@pytest.mark.slow
 def test_any_damaged_message_leaves_frames_or_one_error(bag: Bag) -> None:
     rng = np.random.default_rng(3)
     entries = [

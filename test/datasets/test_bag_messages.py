@@ -263,6 +263,7 @@ def test_what_is_no_message_is_refused(type_: str) -> None:
                 decode(head + rng.bytes(size), type_)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', ['mcap folder', 'sqlite folder', 'ROS 1', 'mcap, zstd chunks'])
 def test_memory_does_not_grow_with_the_messages(tmp_path: Path, kind: str) -> None:
     path = KINDS[kind](tmp_path, list(recording(300)))

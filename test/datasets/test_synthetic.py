@@ -63,6 +63,7 @@ def test_address_sets_everything():
     assert source.sensor.b_per_m == pytest.approx(0.08 / (385 * 0.05))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sensor', ['kinect', 'd435i'])
 def test_same_address_same_bytes(sensor):
     """Twice from one source, once from another, with one thread and with two."""
@@ -153,6 +154,7 @@ def test_double_speed_doubles_the_path():
     np.testing.assert_allclose(fast, slow[::2], atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', range(5))
 def test_room_has_corners_depth_and_holes(seed):
     """What a tracker lives on, and a third of stereo depth missing."""
@@ -171,6 +173,7 @@ def test_room_has_corners_depth_and_holes(seed):
     assert 0.25 < np.mean(holes) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('scene', SCENE_NAMES)
 def test_every_scene_renders_with_every_sensor(scene):
     """The pattern keeps untextured surfaces from becoming one hole."""

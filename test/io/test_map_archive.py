@@ -396,6 +396,7 @@ def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> N
     assert 0 < read < 150
 
 
+@pytest.mark.slow
 def test_forged_parts_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
     """Damage numbers and settings in archives that are sound as such."""
     path, rng, read = tmp_path / 'a', np.random.default_rng(3), 0

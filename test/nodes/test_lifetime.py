@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+pytestmark = pytest.mark.slow  # each test starts a process
+
 PATIENCE_S = 30.0
 PROGRAM = """
 import sys, threading, time

@@ -155,6 +155,7 @@ EVENTS = st.lists(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(EVENTS, st.sampled_from([PLENTY_MB, 0.01, NOTHING_MB]))
 def test_in_the_end_the_mapper_has_every_gaussian(events: list[str], memory_mb: float) -> None:

@@ -30,6 +30,7 @@ def items_every(interval_ns: int, count: int) -> Items:
     return [(FIRST_NS + k * interval_ns, k) for k in range(count)]
 
 
+@pytest.mark.slow
 @given(STEPS)
 def test_every_item_comes_once_in_order_and_time_never_goes_back(steps: list[int]) -> None:
     stamps = FIRST_NS + np.cumsum(steps)

@@ -75,6 +75,7 @@ print(*map(len, came.values()))
 """
 
 
+@pytest.mark.slow
 def test_images_of_a_camera_arrive_best_effort(ros_environment: dict[str, str]) -> None:
     """Colour and depth, 640x480 at 30 Hz."""
     del ros_environment[VARIABLE]  # `prepare` is to find it

@@ -135,6 +135,7 @@ def read_or_refuse(kind: Kind, rng: random.Random) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('error')
 def test_ten_thousand_broken_messages_are_read_or_refused_in_flat_memory() -> None:
     rng = random.Random(0)

@@ -25,8 +25,10 @@ from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_
 _LOADED_S = 300.0
 _KEPT_MB = 100.0  # of keyframes' images, a third of the defaults: reached in the first minutes
 _WARM_SHARE = 1 / 3  # of the time; what memory grows by after it is told
-_COLUMNS = ('minute', 'tracked', 'median ms', 'p95 ms', 'tracker MB', 'mapper MB')
-_COLUMNS += ('Gaussians', 'keyframes')
+_COLUMNS = (
+    *('minute', 'tracked', 'median ms', 'p95 ms', 'tracker MB', 'mapper MB'),
+    *('Gaussians', 'keyframes'),
+)
 
 
 class Row(NamedTuple):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import mkdtemp
 
 import folders  # type: ignore[import-not-found]
 import numpy as np
@@ -100,8 +101,7 @@ def test_names_are_stamps_and_the_nearest_pair(tmp_path: Path) -> None:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
 @given(st.lists(st.integers(0, 2**61), min_size=1, max_size=6, unique=True))
 def test_stamps_in_names_are_read_to_the_nanosecond(tmp_path: Path, stamps_ns: list[int]) -> None:
-    folder = tmp_path / str(abs(hash(tuple(stamps_ns))))
-    folder.mkdir(exist_ok=True)
+    folder = Path(mkdtemp(dir=tmp_path))
     change(
         folder, color='*.color', depth='*.depth', stamps='names', rate_hz=None, groundtruth=None
     )

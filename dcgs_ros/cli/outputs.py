@@ -29,7 +29,7 @@ def refuse_used(folder: Path) -> None:
     """Raise `FolderError` where something is that a run would be mixed with."""
     if folder.is_dir():
         if any(folder.iterdir()):
-            raise FolderError(f'{folder} is not empty: each run writes a folder of its own')
+            raise FolderError(f'{folder} is not empty: a new folder is needed')
     elif folder.exists():
         raise FolderError(f'{folder} is a file, not a folder')
 

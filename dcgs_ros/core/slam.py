@@ -48,7 +48,7 @@ class Handover:
     def __init__(self, tracker: Tracker, config: Config) -> None:
         """Hand nothing over yet."""
         self._tracker = tracker
-        self._interval = config.mapping.view_interval
+        self.interval = config.mapping.view_interval  # frames; may change at any time
         self._since = 0
         self._first: tuple[RgbdFrame, TrackResult] | None = None
 
@@ -65,7 +65,7 @@ class Handover:
             return []
         chosen = self._opening()
         self._since += 1
-        if result.keyframe or self._since >= self._interval:
+        if result.keyframe or self._since >= self.interval:
             chosen.append((frame, result))
         if chosen:
             self._since, self._first = 0, None

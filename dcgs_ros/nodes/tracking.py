@@ -65,6 +65,8 @@ class Tracking:
         self.config = config
         if self.tracker is not None:
             self.tracker.reconfigure(config)
+        if self._handover is not None:
+            self._handover.interval = config.mapping.view_interval
 
     def track(self, frame: RgbdFrame, camera: PinholeCamera) -> TrackResult | None:
         """Track a frame; None, counted and said, where it is of no use."""

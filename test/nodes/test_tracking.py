@@ -301,6 +301,16 @@ def resumable_of(follower: Follower, stamps_ns: Sequence[int] = ()) -> Resumable
     return found
 
 
+def test_how_often_views_are_mapped_changes_at_once() -> None:
+    follower = Follower(override(CONFIG, {'mapping.view_interval': 1000}))
+    frames = frames_of(HALF)
+    follower.feed(frames[:4])
+    before = len(follower.keyframes)
+    follower.tracking.reconfigure(override(CONFIG, {'mapping.view_interval': 1}))
+    follower.feed(frames[4:8])
+    assert before < 4 and len(follower.keyframes) == before + 4
+
+
 def test_a_tracker_that_starts_again_goes_on_in_the_same_map() -> None:
     frames, before = frames_of(HALF), Follower()
     before.feed(frames[:8])

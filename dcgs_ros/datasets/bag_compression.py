@@ -50,9 +50,12 @@ def size_limit(file: BinaryIO) -> int:
 
 def unpack(data: bytes) -> bytes:
     """Undo the zstd of a message that was compressed by itself; raises `ValueError`."""
-    if data[:4] != _ZSTD_MAGIC:  # CDR begins with a zero
-        return data
-    return _unzstd(data, _MIN_LIMIT)
+    return _unzstd(data, _MIN_LIMIT) if is_packed(data) else data
+
+
+def is_packed(data: bytes) -> bool:
+    """Tell whether a message was compressed by itself: CDR begins with a zero."""
+    return data[:4] == _ZSTD_MAGIC
 
 
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:

@@ -16,7 +16,7 @@ from heapq import heappop, heappush
 from pathlib import Path
 from typing import BinaryIO
 
-from .bag_compression import size_limit, unpack
+from .bag_compression import is_packed, size_limit, unpack
 from .bag_files import RawMessage
 from .mcap_records import (
     CHANNEL,
@@ -29,6 +29,7 @@ from .mcap_records import (
     MESSAGE,
     MESSAGE_HEAD,
     MESSAGE_INDEX,
+    PLAIN_HEAD,
     RECORD,
     SCHEMA,
     STATISTICS,
@@ -40,6 +41,7 @@ from .mcap_records import (
 from .source import SourceError
 
 _MAX_HELD = 1 << 26  # bytes of messages that wait for earlier ones
+_HEAD_BYTES = 4096  # of a message: a pose or a camera as a whole, of an image the header
 
 
 def read_mcap(
@@ -52,6 +54,17 @@ def read_mcap(
     """
     with path.open('rb') as file:
         yield from _McapFile(file, losses).messages(topics)
+
+
+def read_mcap_heads(
+    path: Path, topics: Collection[str] | None, losses: list[str]
+) -> Iterator[RawMessage]:
+    """Read messages as `read_mcap` does, but of long ones only how they begin, if that is quicker.
+
+    What is not compressed is skipped then, and its checksums with it.
+    """
+    with path.open('rb') as file:
+        yield from _McapFile(file, losses).messages(topics, heads=True)
 
 
 def mcap_types(path: Path) -> dict[str, str] | None:
@@ -82,8 +95,10 @@ class _McapFile:
         if self._scan():
             self._blocks.sort()
 
-    def messages(self, topics: Collection[str] | None) -> Iterator[RawMessage]:
-        """Merge the messages of the blocks by their stamps."""
+    def messages(
+        self, topics: Collection[str] | None, heads: bool = False
+    ) -> Iterator[RawMessage]:
+        """Merge the messages of the blocks, or how they begin, by their stamps."""
         waiting: list[tuple[int, int, RawMessage]] = []
         held = count = 0
         for block in self._blocks:
@@ -92,7 +107,7 @@ class _McapFile:
                 held -= len(message.cdr)
                 yield message
             try:
-                for message in self._block_messages(block, topics):
+                for message in self._block_messages(block, topics, heads):
                     heappush(waiting, (message.stamp_ns, count, message))
                     held += len(message.cdr)
                     count += 1
@@ -185,21 +200,50 @@ class _McapFile:
             self.channels[key] = topic, self._schemas.get(schema, '')
 
     def _block_messages(
-        self, block: Block, topics: Collection[str] | None
+        self, block: Block, topics: Collection[str] | None, heads: bool
     ) -> Iterator[RawMessage]:
         """Read the messages of a block in their order in it."""
         if topics is not None and (within := self._within.get(block.at)):
             if not any(self.channels.get(key, ('',))[0] in ('', *topics) for key in within):
                 return  # else each topic's reader would decompress all chunks
-        body = memoryview(self._read(block.at, block.length))
         if block.opcode == MESSAGE:
-            yield from self._message(body, topics)
+            yield from self._message(memoryview(self._read(block.at, block.length)), topics)
             return
-        for opcode, record in split_records(open_chunk(body, self._limit)):
+        plain = self._plain_content(block) if heads else None
+        if plain is None:
+            body = memoryview(self._read(block.at, block.length))
+            records = split_records(open_chunk(body, self._limit))
+        else:
+            records = self._split_heads(*plain)
+        for opcode, record in records:
             if opcode == MESSAGE:
                 yield from self._message(record, topics)
             elif opcode in (SCHEMA, CHANNEL):
                 self._define(opcode, record)
+
+    def _plain_content(self, block: Block) -> tuple[int, int] | None:
+        """Where the content of a chunk begins and ends; None where it is compressed."""
+        self._file.seek(block.at)
+        head = self._file.read(min(PLAIN_HEAD.size, block.length))
+        _, _, _, _, compression_length, length = PLAIN_HEAD.unpack(head)
+        if compression_length or length > block.length - PLAIN_HEAD.size:
+            return None
+        return block.at + PLAIN_HEAD.size, block.at + PLAIN_HEAD.size + length
+
+    def _split_heads(self, at: int, end: int) -> Iterator[tuple[int, memoryview]]:
+        """Split a chunk's content as it is in the file; of messages only the beginning is read."""
+        while at < end:
+            self._file.seek(at)
+            head = self._file.read(min(RECORD.size + MESSAGE_HEAD.size + _HEAD_BYTES, end - at))
+            opcode, length = RECORD.unpack_from(head)
+            at += RECORD.size
+            if length > end - at:
+                raise ValueError(f'a record of {length} bytes, {end - at} are left')
+            body = head[RECORD.size : RECORD.size + length]
+            if opcode != MESSAGE or is_packed(body[MESSAGE_HEAD.size :]):
+                body = self._read(at, length)
+            yield opcode, memoryview(body)
+            at += length
 
     def _message(self, body: memoryview, topics: Collection[str] | None) -> Iterator[RawMessage]:
         """Read a message if its topic is wanted."""

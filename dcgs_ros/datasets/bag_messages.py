@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..io.ros_images import MessageError
 from .bag_compression import plain_file
 from .bag_files import DamagedError, RawMessage, find_files, is_bag, storage_of
-from .bag_mcap import mcap_types, read_mcap
+from .bag_mcap import mcap_types, read_mcap, read_mcap_heads
 from .bag_ros1 import read_ros1, ros1_types
 from .bag_sqlite import read_sqlite, sqlite_types
 from .source import SourceError
@@ -65,10 +65,13 @@ _STORAGES = {
 }
 
 
-def raw_messages(path: Path | str, topics: Collection[str] | None) -> Iterator[RawMessage]:
+def raw_messages(
+    path: Path | str, topics: Collection[str] | None, heads: bool = False
+) -> Iterator[RawMessage]:
     """Messages of those topics, or all, in the order they were recorded.
 
-    Messages of ROS 1 are converted to CDR. What is damaged is left out, and told at the end by a
+    Messages of ROS 1 are converted to CDR. With `heads` of a long one there may be no more than
+    its header, where that is quicker. What is damaged is left out, and told at the end by a
     `DamagedError`; raises `SourceError` where there is nothing to read at all.
     """
     recording = find_files(Path(path))
@@ -77,7 +80,7 @@ def raw_messages(path: Path | str, topics: Collection[str] | None) -> Iterator[R
     for file in recording.files:
         found: list[str] = []
         try:
-            for message in _file_messages(file, topics, found):
+            for message in _file_messages(file, topics, found, heads):
                 count += 1
                 yield message
         except SourceError as error:
@@ -149,11 +152,13 @@ def decode(cdr: bytes, type_: str) -> Any:
 
 
 def _file_messages(
-    file: Path, topics: Collection[str] | None, losses: list[str]
+    file: Path, topics: Collection[str] | None, losses: list[str], heads: bool = False
 ) -> Iterator[RawMessage]:
     """Read a file."""
+    kind = storage_of(file)
+    read = read_mcap_heads if heads and kind == '.mcap' else _STORAGES[kind].read
     with _refusals(), plain_file(file) as plain:
-        yield from _STORAGES[storage_of(file)].read(plain, topics, losses)
+        yield from read(plain, topics, losses)
 
 
 @contextmanager

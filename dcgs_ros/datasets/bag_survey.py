@@ -44,7 +44,9 @@ def survey(path: Path | str, color: str, depth: str) -> Survey:
     lost = []
     number = 0
     try:
-        for number, message in enumerate(raw_messages(path, (*stamps, GROUNDTRUTH_TOPIC)), 1):
+        for number, message in enumerate(
+            raw_messages(path, (*stamps, GROUNDTRUTH_TOPIC), heads=True), 1
+        ):
             try:
                 if message.topic in stamps:
                     _note(stamps[message.topic], read_header(message.cdr)[0])

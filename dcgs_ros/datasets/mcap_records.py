@@ -17,6 +17,7 @@ CHUNK_INDEX, STATISTICS = 8, 11
 RECORD = struct.Struct('<BQ')  # opcode, length of what follows
 MESSAGE_HEAD = struct.Struct('<HIQQ')  # channel, sequence, logged and published in ns
 CHUNK_HEAD = struct.Struct('<QQQI')  # first and last message in ns, size, CRC
+PLAIN_HEAD = struct.Struct('<QQQIIQ')  # the same, no name of a compression, length of what follows
 END = struct.Struct('<BQQQI8s')  # the footer and the magic behind it
 COUNTS_AT = 42  # in the statistics
 

@@ -58,6 +58,7 @@ from dcgs_ros.io.ros_images import MessageError
 
 Write = Callable[[Path, list[Entry]], Path]
 
+HEADER_BYTES = 1000  # more than a header has
 FLAT_BYTES = 3_000_000  # more than the messages of two chunks, less than those of 300 frames
 
 
@@ -131,6 +132,19 @@ def test_messages_are_those_recorded(tmp_path: Path, kind: str) -> None:
             vars(decode(message.cdr, message.type)),
             vars(TYPES.deserialize_cdr(message.cdr, message.type)),
         )
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_heads_are_how_messages_begin(tmp_path: Path, kind: str) -> None:
+    entries = [*various(), *recording(4)]
+    path = KINDS[kind](tmp_path, entries)
+    heads = list(raw_messages(path, None, heads=True))
+    for head, whole in zip(heads, as_read(entries), strict=True):
+        assert head[:3] == whole[:3]
+        assert whole.cdr.startswith(head.cdr)
+        assert len(head.cdr) >= min(len(whole.cdr), HEADER_BYTES)
+    if kind == 'mcap folder':
+        assert sum(len(head.cdr) for head in heads) < sum(len(entry.cdr) for entry in entries)
 
 
 @pytest.mark.parametrize('kind', [kind for kind in KINDS if 'mcap, ' not in kind])

@@ -62,11 +62,11 @@ LYING = (0, 1, 255, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1)
 FOOTER = struct.pack('<BQ', 2, 20) + bytes(20)
 
 
-def salvage(path: Path) -> tuple[list[RawMessage], str]:
+def salvage(path: Path, heads: bool = False) -> tuple[list[RawMessage], str]:
     """Messages that can be read, and what is said of the others ('' where there are none)."""
     messages = []
     try:
-        for message in raw_messages(path, None):
+        for message in raw_messages(path, None, heads):
             messages.append(message)
     except SourceError as error:
         assert isinstance(error, DamagedError) or not messages
@@ -434,6 +434,7 @@ def fuzz(tmp_path: Path, kind: str, times: int, seed: int) -> None:
     for _ in range(times):
         path.write_bytes(mutated(whole, rng))
         messages, _ = salvage(path)
+        salvage(path, heads=True)
         for message in messages:
             try:
                 decode(message.cdr, message.type)

@@ -30,6 +30,8 @@ from dcgs_ros.core.workers import Workers, cores
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.prefetch import prefetch
 
+from .panels import draw_panels
+
 Result = TypeVar('Result')
 
 GAUSSIANS, KEYFRAMES, STEPS = 200_000, 100, 20
@@ -112,7 +114,7 @@ def long_run(address: str, every: int) -> list[Sample]:
 def _sample(count: int, mapper: Mapper, tracker: Tracker) -> Sample:
     images_mb = 1e-6 * sum(view.bytes for view in mapper.views)
     tracked = len(tracker.gaussians)
-    return Sample(count, _rss_mb(), len(mapper.table), tracked, len(mapper.views), images_mb)
+    return Sample(count, rss_mb(), len(mapper.table), tracked, len(mapper.views), images_mb)
 
 
 def _progress(sample: Sample) -> None:
@@ -124,10 +126,11 @@ def _progress(sample: Sample) -> None:
         )
 
 
-def _rss_mb() -> float:
-    """Read what this process holds now, 10^6 bytes."""
-    found = re.search(r'^VmRSS:\s*(\d+) kB$', Path('/proc/self/status').read_text(), re.MULTILINE)
-    assert found is not None
+def rss_mb(process: int | str = 'self') -> float:
+    """Read what a process, by its number or this one, holds now, 10^6 bytes."""
+    status = Path(f'/proc/{process}/status').read_text()
+    found = re.search(r'^VmRSS:\s*(\d+) kB$', status, re.MULTILINE)
+    assert found is not None, f'process {process} has ended'
     return int(found[1]) * 1024e-6
 
 
@@ -139,24 +142,15 @@ def _alone(work: Callable[..., Result], *arguments: Any) -> Result:
 
 def plot(path: Path, samples: Sequence[Sample]) -> None:
     """Draw memory and Gaussians over the frames."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 6.0), dpi=120, layout='constrained')
-    FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, sharex=True)
-    frames, rss_mb, gaussians, tracked, _, images_mb = np.array(samples).T
-    upper.plot(frames, rss_mb, label='whole process (RSS)')
-    upper.plot(frames, images_mb, label="keyframes' images")
-    upper.set(ylabel='MB', title=LONG_RUN)
-    lower.plot(frames, gaussians / 1000, label="mapper's")
-    lower.plot(frames, tracked / 1000, label="of them the tracker's")
-    lower.set(xlabel='frames', ylabel='Gaussians / 1000')
-    for ax in (upper, lower):
-        ax.set_ylim(bottom=0)
-        ax.legend(fontsize=8)
-        ax.grid(alpha=0.25)
-    figure.savefig(path)
+    frames, held_mb, gaussians, tracked, _, images_mb = np.array(samples).T
+    panels = (
+        ('MB', {'whole process (RSS)': held_mb, "keyframes' images": images_mb}),
+        (
+            'Gaussians / 1000',
+            {"mapper's": gaussians / 1000, "of them the tracker's": tracked / 1000},
+        ),
+    )
+    draw_panels(path, ('frames', frames), panels, LONG_RUN)
 
 
 def show(path: Path | None) -> None:

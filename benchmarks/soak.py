@@ -9,11 +9,9 @@ begins again the camera is elsewhere, and looked for: those frames are not track
 from __future__ import annotations
 
 import argparse
-import re
 import tempfile
 import time
 from pathlib import Path
-from subprocess import Popen
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +19,9 @@ import numpy as np
 from dcgs_ros.cli.host import machine
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_until
+
+from .memory import rss_mb
+from .panels import draw_panels
 
 _LOADED_S = 300.0
 _KEPT_MB = 100.0  # of keyframes' images, a third of the defaults: reached in the first minutes
@@ -42,14 +43,6 @@ class Row(NamedTuple):
     mapper_mb: float
     gaussians: float  # the tracker's
     keyframes: float  # the mapper's, whose images it keeps up to mapping.image_memory_mb
-
-
-def rss_mb(process: Popen[bytes]) -> float:
-    """Read what a process holds, 10^6 bytes."""
-    status = Path(f'/proc/{process.pid}/status').read_text()
-    found = re.search(r'^VmRSS:\s*(\d+) kB$', status, re.MULTILINE)
-    assert found is not None, f'process {process.pid} has ended'
-    return int(found[1]) * 1024e-6
 
 
 def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
@@ -75,7 +68,7 @@ def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
                 Row(
                     (time.monotonic() - start_s) / 60.0,
                     (observer.came - came) / max(observer.sent - sent, 1),
-                    median_ms, p95_ms, rss_mb(tracker), rss_mb(mapper),
+                    median_ms, p95_ms, rss_mb(tracker.pid), rss_mb(mapper.pid),
                     observer.value('dcgs_tracker', 'gaussians'),
                     observer.value('dcgs_mapper', 'keyframes'),
                 )
@@ -87,24 +80,12 @@ def soak(source: str, minutes: float, interval_s: float = 60.0) -> list[Row]:
 
 def plot(path: Path, rows: list[Row]) -> None:
     """Draw memory and latency over time."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 6.0), dpi=120, layout='constrained')
-    FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, sharex=True)
     minute, _, median_ms, p95_ms, tracker_mb, mapper_mb, *_ = np.array(rows).T
-    upper.plot(minute, tracker_mb, label='tracker')
-    upper.plot(minute, mapper_mb, label='mapper')
-    upper.set(ylabel='MB (RSS)')
-    lower.plot(minute, median_ms, label='median')
-    lower.plot(minute, p95_ms, label='95th percentile')
-    lower.set(xlabel='minutes', ylabel='camera_info to odometry, ms')
-    for ax in (upper, lower):
-        ax.set_ylim(bottom=0)
-        ax.legend(fontsize=8)
-        ax.grid(alpha=0.25)
-    figure.savefig(path)
+    panels = (
+        ('MB (RSS)', {'tracker': tracker_mb, 'mapper': mapper_mb}),
+        ('camera_info to odometry, ms', {'median': median_ms, '95th percentile': p95_ms}),
+    )
+    draw_panels(path, ('minutes', minute), panels)
 
 
 def main() -> None:

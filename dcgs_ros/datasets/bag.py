@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +19,7 @@ from .bag_camera import RecordedCamera, find_camera
 from .bag_imu import imu_samples
 from .bag_messages import DamagedError, RawMessage, decode, raw_messages, read_header
 from .bag_survey import survey
-from .source import BadFrame, ImuSample
+from .source import BadFrame, ImuSample, sequence_name
 
 LAYOUT = 'a recording: a rosbag2 folder with its metadata.yaml, an .mcap, a .db3 or a .bag'
 
@@ -54,7 +53,7 @@ class BagSource:
     ) -> None:
         """Find the camera and pair the stamps."""
         self._path = path
-        self.name = os.path.basename(os.path.abspath(path))
+        self.name = sequence_name(path)
         self.recorded = find_camera(path, camera, color_topic, depth_topic)
         self.camera, self.sensor = self.recorded.camera, self.recorded.sensor
         topics = self.recorded.topics

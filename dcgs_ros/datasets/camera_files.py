@@ -22,12 +22,13 @@ def chosen_camera(
 ) -> CameraPreset:
     """Take the default, or the preset or intrinsics (with the default's noise) of `text`.
 
+    The depth unit is the default's in any case: files have theirs, whoever took them.
     Raises `SourceError` where the text is neither, or no image of `pairs` tells its size.
     """
     if text is None:
         return default
     if text in PRESETS:
-        return PRESETS[text]
+        return dataclasses.replace(PRESETS[text], depth_per_metre=default.depth_per_metre)
     parse_intrinsics(text, 640, 480)  # complain about the text before looking for an image
     camera = parse_intrinsics(text, *color_size(folder, pairs))
     return dataclasses.replace(default, camera=camera)

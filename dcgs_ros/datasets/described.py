@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -72,15 +71,8 @@ def open_described(
     except (ValueError, SensorError) as error:
         raise SourceError(f'{file}: {error}') from None
     chosen = chosen_camera(camera, own, folder, pairs)
-    return ImageSequence(
-        os.path.basename(os.path.abspath(folder)),
-        folder,
-        pairs,
-        chosen.camera,
-        chosen.sensor,
-        own.depth_per_metre,
-        None if groundtruth is None else read_tum(groundtruth),
-    )
+    truth = None if groundtruth is None else read_tum(groundtruth)
+    return ImageSequence.of(folder, pairs, chosen, truth)
 
 
 def write_description(

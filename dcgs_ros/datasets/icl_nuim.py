@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import re
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from .camera_files import chosen_camera
 from .cameras import PRESETS
 from .image_sequence import ImageSequence
 from .numbered import stamp_of
-from .source import SourceError
+from .source import SourceError, sequence_name
 from .tum_index import read_index
 
 LAYOUT = 'associations.txt of depth and colour by frame number, and *.gt.freiburg (ICL-NUIM)'
@@ -31,8 +30,8 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 def is_icl_nuim(path: Path) -> bool:
     """Tell whether the path is a sequence's folder: by the truth in it, or by its name."""
-    name = os.path.basename(os.path.abspath(path))
-    known = bool(_truth_files(path)) or re.search(r'traj[0-9]n?_frei_png', name) is not None
+    named = re.search(r'traj[0-9]n?_frei_png', sequence_name(path)) is not None
+    known = bool(_truth_files(path)) or named
     return known and (path / 'associations.txt').is_file()
 
 
@@ -47,21 +46,12 @@ def open_icl_nuim(
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the line.
     """
     folder = Path(path)
-    name = os.path.basename(os.path.abspath(folder))
     preset = PRESETS['icl_nuim']
-    if re.search(r'traj[0-9]n(?![a-z])', name):
+    if re.search(r'traj[0-9]n(?![a-z])', sequence_name(folder)):
         preset = dataclasses.replace(preset, sensor=SensorNoise.structured_light())
     pairs = _read_pairs(folder / 'associations.txt')
     chosen = chosen_camera(camera, preset, folder, pairs)
-    return ImageSequence(
-        name,
-        folder,
-        pairs,
-        chosen.camera,
-        chosen.sensor,
-        preset.depth_per_metre,
-        _read_truth(folder, groundtruth),
-    )
+    return ImageSequence.of(folder, pairs, chosen, _read_truth(folder, groundtruth))
 
 
 def mirrored(T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:

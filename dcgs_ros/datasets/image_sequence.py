@@ -17,8 +17,9 @@ from ..core.frame import RgbdFrame
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
 from .association import Pair
+from .cameras import CameraPreset
 from .image_files import read_color_file, read_depth_file
-from .source import BadFrame, ImuSample, SourceError
+from .source import BadFrame, ImuSample, SourceError, sequence_name
 
 Images = tuple[NDArray[np.uint8], NDArray[np.float32]]  # colour RGB, depth in metres
 
@@ -44,6 +45,20 @@ class ImageSequence:
     depth_per_metre: float  # raw value of a depth of one metre
     groundtruth: Trajectory | None = None
     register: Callable[[NDArray[np.uint8], NDArray[np.float32]], Images] = as_they_are
+
+    @classmethod
+    def of(
+        cls,
+        folder: Path,
+        pairs: Sequence[Pair],
+        preset: CameraPreset,
+        groundtruth: Trajectory | None,
+        register: Callable[[NDArray[np.uint8], NDArray[np.float32]], Images] = as_they_are,
+    ) -> ImageSequence:
+        """Call it as its folder is called."""
+        camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
+        name = sequence_name(folder)
+        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register)
 
     def __len__(self) -> int:
         """Count the pairs, readable or not."""

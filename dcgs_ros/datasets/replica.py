@@ -46,13 +46,9 @@ def open_replica(
     pairs = numbered_pairs(
         folder, r'results/frame([0-9]{6})\.jpg', r'results/depth([0-9]{6})\.png'
     )
-    own = _own_camera(folder)
-    chosen = chosen_camera(camera, own, folder, pairs)
+    chosen = chosen_camera(camera, _own_camera(folder), folder, pairs)
     truth = _read_truth(folder / 'traj.txt') if groundtruth is None else read_tum(groundtruth)
-    name = os.path.basename(os.path.abspath(folder))
-    return ImageSequence(
-        name, folder, pairs, chosen.camera, chosen.sensor, own.depth_per_metre, truth
-    )
+    return ImageSequence.of(folder, pairs, chosen, truth)
 
 
 def _own_camera(folder: Path) -> CameraPreset:

@@ -7,7 +7,6 @@ The frames are the depth camera's: colour is resampled onto depth's pixels.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,7 @@ from .matrices import read_matrix, read_pose, rigid_trajectory
 from .numbered import numbered_pairs
 from .scannet_calibration import make_depth_camera, make_resampling
 from .sens import SensFile, open_binary, read_sens
-from .source import BadFrame, ImuSample, Source, SourceError
+from .source import BadFrame, ImuSample, Source, SourceError, sequence_name
 
 LAYOUT = 'a .sens, or color/N.jpg, depth/N.png, pose/N.txt and intrinsic/*.txt (ScanNet)'
 
@@ -137,8 +136,7 @@ def _open_folder(path: Path, camera: str | None, truth: Trajectory | None) -> Im
         files = [folder / 'pose' / f'{Path(pair.color.path).stem}.txt' for pair in pairs]
         stamps_ns = np.array([pair.color.stamp_ns for pair in pairs], np.int64)
         truth = rigid_trajectory(stamps_ns, np.array([read_pose(file) for file in files]))
-    name = os.path.basename(os.path.abspath(path))
-    unit = _PRESET.depth_per_metre
+    name, unit = sequence_name(path), _PRESET.depth_per_metre
     return ImageSequence(name, folder, pairs, depth, _PRESET.sensor, unit, truth, register)
 
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import partial
 from pathlib import Path
 
@@ -54,19 +53,9 @@ def open_seven_scenes(
     pairs = numbered_pairs(
         folder, r'frame-([0-9]{6})\.color\.png', r'frame-([0-9]{6})\.depth\.png'
     )
-    preset = PRESETS['7scenes']
-    chosen = chosen_camera(camera, preset, folder, pairs)
+    chosen = chosen_camera(camera, PRESETS['7scenes'], folder, pairs)
     truth = _read_truth(folder, pairs) if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence(
-        os.path.basename(os.path.abspath(folder)),
-        folder,
-        pairs,
-        chosen.camera,
-        chosen.sensor,
-        preset.depth_per_metre,
-        truth,
-        partial(_register, chosen.camera),
-    )
+    return ImageSequence.of(folder, pairs, chosen, truth, partial(_register, chosen.camera))
 
 
 def _register(

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from ..core.camera import PinholeCamera
@@ -17,6 +19,11 @@ from ..core.trajectory import Trajectory
 
 class SourceError(DcgsError):
     """A sequence cannot be opened or read."""
+
+
+def sequence_name(path: Path | str) -> str:
+    """Last part of a path, also where that is `.` or `..`: what a sequence is called."""
+    return os.path.basename(os.path.abspath(path))
 
 
 @dataclass(frozen=True)

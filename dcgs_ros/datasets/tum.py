@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from ..io.trajectory import read_tum
 from .camera_files import chosen_camera
 from .cameras import PRESETS
 from .image_sequence import ImageSequence
-from .source import SourceError
+from .source import SourceError, sequence_name
 from .tum_index import read_pairs
 
 LAYOUT = 'rgb.txt and depth.txt, or associations.txt, and the images they name (TUM, Bonn)'
@@ -35,18 +34,17 @@ def open_tum(
     Everything but the images is read and checked here: raises `SourceError` (or
     `TrajectoryFileError` for the ground truth) naming the file and the line.
     """
-    folder, name = Path(path), os.path.basename(os.path.abspath(path))
+    folder = Path(path)
     if not folder.is_dir():
         raise SourceError(f'{path}: no such folder')
     pairs = read_pairs(folder)
-    preset = chosen_camera(camera or _infer_camera(name), PRESETS['fr3'], folder, pairs)
+    text = camera or _infer_camera(sequence_name(folder))
+    preset = chosen_camera(text, PRESETS.get(text, PRESETS['fr3']), folder, pairs)
     default = folder / 'groundtruth.txt'
     if groundtruth is None and default.exists():
         groundtruth = default
     truth = None if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence(
-        name, folder, pairs, preset.camera, preset.sensor, preset.depth_per_metre, truth
-    )
+    return ImageSequence.of(folder, pairs, preset, truth)
 
 
 def _infer_camera(name: str) -> str:

@@ -16,7 +16,7 @@ from ..core.frame import RgbdFrame
 from ..datasets.bag_messages import RawMessage
 from ..datasets.bag_topics import COLOR_TOPIC, DEPTH_TOPIC
 from .bag_encoding import OPTICAL_FRAME, header, make, on_topic
-from .ros_images import exact_millimetres, in_millimetres
+from .ros_images import camera_fields, exact_millimetres, exact_pixels, in_millimetres
 
 _JPEG_QUALITY = 95
 _CONFIG = bytes(12)  # what compressed_depth_image_transport puts before a PNG; unused for 16UC1
@@ -43,7 +43,7 @@ class FrameEncoder:
             yield _on(f'{DEPTH_TOPIC}/compressedDepth', depth, *self._png(frame.depth_m))
         else:
             yield _on(COLOR_TOPIC, color, *_color(frame.color))
-            yield _on(DEPTH_TOPIC, depth, *_depth(frame.depth_m))
+            yield _on(DEPTH_TOPIC, depth, *_image(*exact_pixels(frame.depth_m)))
 
     def _png(self, depth_m: NDArray[np.float32]) -> _Body:
         depth_mm = exact_millimetres(depth_m)
@@ -67,28 +67,13 @@ def _on(topic: str, stamp_ns: int, name: str, fields: tuple[Any, ...]) -> RawMes
 
 
 def _camera_info(camera: PinholeCamera) -> _Body:
-    """Intrinsics and distortion; ROS's plumb_bob has five numbers, filled up with zeros."""
-    K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-    P = np.hstack([K, np.zeros((3, 1))])
-    rational = len(camera.distortion) > 5
-    model = 'rational_polynomial' if rational else 'plumb_bob'
-    D = camera.parameters[4:] if rational else camera.parameters[4:9]
     no_binning, everything = (0, 0), make('sensor_msgs/RegionOfInterest', 0, 0, 0, 0, False)
-    arrays = D, K.ravel(), np.eye(3).ravel(), P.ravel()
-    fields = (camera.height, camera.width, model, *arrays, *no_binning, everything)
+    fields = (camera.height, camera.width, *camera_fields(camera), *no_binning, everything)
     return 'sensor_msgs/CameraInfo', fields
 
 
 def _color(color: NDArray[np.uint8]) -> _Body:
     return _image('mono8' if color.ndim == 2 else 'rgb8', color)
-
-
-def _depth(depth_m: NDArray[np.float32]) -> _Body:
-    """16UC1 as cameras send it where millimetres tell all, else 32FC1, where none is NaN."""
-    depth_mm = exact_millimetres(depth_m)
-    if depth_mm is not None:
-        return _image('16UC1', depth_mm.astype('<u2'))
-    return _image('32FC1', np.where(depth_m > 0, depth_m, np.nan).astype('<f4'))
 
 
 def _image(encoding: str, pixels: NDArray) -> _Body:

@@ -8,7 +8,7 @@ hand before anything is allocated.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -87,6 +87,20 @@ def exact_millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16] | None
     return depth_mm
 
 
+def exact_pixels(depth_m: NDArray[np.float32]) -> tuple[str, NDArray]:
+    """Depth (H, W) in metres as an Image holds all of it: the encoding and its pixels (H, W).
+
+    That is 16UC1, as cameras send it, where millimetres tell all, else 32FC1.
+    """
+    depth_mm = exact_millimetres(depth_m)
+    return ('32FC1', in_metres(depth_m)) if depth_mm is None else ('16UC1', depth_mm.astype('<u2'))
+
+
+def in_metres(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depth (H, W) in metres as 32FC1 has it, where none is NaN (REP 118)."""
+    return np.where(depth_m > 0, depth_m, np.nan).astype('<f4')
+
+
 def read_camera(info: Any) -> PinholeCamera:
     """Intrinsics and distortion of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
 
@@ -112,6 +126,26 @@ def read_camera(info: Any) -> PinholeCamera:
             f'{", ".join(name or "(none)" for name in _LENS_MODELS)}'
         )
     return PinholeCamera(width, height, fx, fy, cx, cy, coefficients)
+
+
+class CameraFields(NamedTuple):
+    """What a CameraInfo says of a camera besides its size; the matrices row by row."""
+
+    model: str
+    D: NDArray[np.float64]
+    K: NDArray[np.float64]  # (9,)
+    R: NDArray[np.float64]  # (9,) none
+    P: NDArray[np.float64]  # (12,) the camera's own, without rectification
+
+
+def camera_fields(camera: PinholeCamera) -> CameraFields:
+    """Say it; ROS's plumb_bob has five numbers: fewer are filled up with zeros."""
+    K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    P = np.hstack([K, np.zeros((3, 1))])
+    rational = len(camera.distortion) > 5
+    model = 'rational_polynomial' if rational else 'plumb_bob'
+    D = camera.parameters[4:] if rational else camera.parameters[4:9]
+    return CameraFields(model, D, K.ravel(), np.eye(3).ravel(), P.ravel())
 
 
 def _unknown(what: str, encoding: object, known: dict[str, Any]) -> MessageError:

@@ -8,11 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-from sensor_msgs.msg import Image
-from std_msgs.msg import Header
-
 from ..core.frame import RgbdFrame
 from ..datasets.bag_camera import find_camera
 from ..datasets.bag_messages import (
@@ -26,10 +21,9 @@ from ..datasets.bag_messages import (
 from ..datasets.bag_topics import CameraTopics, split_topics
 from ..datasets.open import open_source
 from ..datasets.source import BadFrame, Source, SourceError
-from ..io.ros_images import exact_millimetres
 from .messages.camera_info import write_camera
 from .messages.headers import header
-from .messages.images import write_color, write_depth, write_depth_mm
+from .messages.images import write_color, write_exact_depth
 
 Output = Literal['camera_info', 'color', 'depth']
 
@@ -72,7 +66,7 @@ class FrameReel:
         return [
             ('camera_info', write_camera(self._source.camera, color)),
             ('color', write_color(item.color, color)),
-            ('depth', _exact_depth(item.depth_m, depth)),
+            ('depth', write_exact_depth(item.depth_m, depth)),
         ]
 
 
@@ -123,10 +117,3 @@ def make_reel(
         if recorded.as_published:
             return BagReel(path, recorded.topics, camera_frame, say)
     return FrameReel(open_source(source, camera), camera_frame, say)
-
-
-def _exact_depth(depth_m: NDArray[np.float32], header: Header) -> Image:
-    """16UC1 as cameras send it where millimetres tell all, else 32FC1."""
-    if exact_millimetres(depth_m) is not None:
-        return write_depth_mm(depth_m, header)
-    return write_depth(depth_m, header)

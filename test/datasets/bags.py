@@ -109,7 +109,7 @@ def various() -> Iterator[Entry]:
     pose = kinds['geometry_msgs/msg/Pose'](point, quaternion)
     covariance = np.arange(9.0)
     jpeg = np.arange(101, dtype=np.uint8)  # of an odd length, as jpegs are
-    head = _header(START_NS, 'somewhere')
+    head = header(START_NS, 'somewhere')
     tf = kinds['geometry_msgs/msg/TransformStamped'](head, 'there', transform)
     for k, (topic, name, fields) in enumerate(
         [
@@ -125,7 +125,7 @@ def various() -> Iterator[Entry]:
             ('/units', 'std_msgs/msg/Float32', (0.001,)),
         ]
     ):
-        yield _entry(topic, name, START_NS + k * INTERVAL_NS, kinds[name](*fields))
+        yield entry_of(topic, name, START_NS + k * INTERVAL_NS, kinds[name](*fields))
 
 
 def recording(frames: int, color: str = COLOR, depth: str = DEPTH) -> Iterator[Entry]:
@@ -158,9 +158,9 @@ def image_entry(
     height, width = pixels.shape[:2]
     data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
     message = TYPES.types[name](
-        _header(stamp_ns, frame), height, width, encoding, 0, len(data) // height, data
+        header(stamp_ns, frame), height, width, encoding, 0, len(data) // height, data
     )
-    return _entry(topic, name, stamp_ns, message)
+    return entry_of(topic, name, stamp_ns, message)
 
 
 def depth_entry(
@@ -175,7 +175,7 @@ def info_entry(stamp_ns: int, camera: PinholeCamera, topic: str = INFO) -> Entry
     name = 'sensor_msgs/msg/CameraInfo'
     K = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
     message = TYPES.types[name](
-        header=_header(stamp_ns, OPTICAL),
+        header=header(stamp_ns, OPTICAL),
         height=camera.height,
         width=camera.width,
         distortion_model='plumb_bob',
@@ -187,13 +187,15 @@ def info_entry(stamp_ns: int, camera: PinholeCamera, topic: str = INFO) -> Entry
         binning_y=0,
         roi=TYPES.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
     )
-    return _entry(topic, name, stamp_ns, message)
+    return entry_of(topic, name, stamp_ns, message)
 
 
-def _header(stamp_ns: int, frame: str) -> Any:
+def header(stamp_ns: int, frame: str) -> Any:
+    """Stamp and frame."""
     stamp = TYPES.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 1_000_000_000))
     return TYPES.types['std_msgs/msg/Header'](stamp, frame)
 
 
-def _entry(topic: str, name: str, stamp_ns: int, message: Any) -> Entry:
+def entry_of(topic: str, name: str, stamp_ns: int, message: Any) -> Entry:
+    """Message on its topic, recorded `DELAY_NS` after its stamp."""
     return Entry(topic, name, stamp_ns + DELAY_NS, bytes(TYPES.serialize_cdr(message, name)))

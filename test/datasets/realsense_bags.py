@@ -6,14 +6,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from bags import (  # type: ignore[import-not-found]
     COLOR,
-    DELAY_NS,
     DEPTH,
     INTERVAL_NS,
     START_NS,
@@ -22,11 +20,12 @@ from bags import (  # type: ignore[import-not-found]
     color_of,
     depth_entry,
     depth_of,
+    entry_of,
+    header,
     image_entry,
     info_entry,
 )
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import get_types_from_msg
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
@@ -55,19 +54,19 @@ def unaligned(frames: int, camera: PinholeCamera = DEPTH_CAMERA) -> Iterator[Ent
 def extrinsics_entry(T: np.ndarray, topic: str = EXTRINSICS_TOPIC) -> Entry:
     """Rotation by columns, translation."""
     message = TYPES.types[EXTRINSICS](T[:3, :3].T.ravel(), T[:3, 3].copy())
-    return _entry(topic, EXTRINSICS, START_NS, message)
+    return entry_of(topic, EXTRINSICS, START_NS, message)
 
 
 def static_entry(transforms: Iterable[tuple[str, str, np.ndarray]]) -> Entry:
     """/tf_static of (parent, child, T_parent_child)."""
     stamped = [
         TYPES.types['geometry_msgs/msg/TransformStamped'](
-            _header(START_NS, parent), child, _transform(T)
+            header(START_NS, parent), child, _transform(T)
         )
         for parent, child, T in transforms
     ]
     name = 'tf2_msgs/msg/TFMessage'
-    return _entry('/tf_static', name, START_NS, TYPES.types[name](stamped))
+    return entry_of('/tf_static', name, START_NS, TYPES.types[name](stamped))
 
 
 def imu_entry(
@@ -83,7 +82,7 @@ def imu_entry(
     if missing:
         covariances[missing][0] = -1
     message = TYPES.types['sensor_msgs/msg/Imu'](
-        _header(stamp_ns, 'camera_imu_optical_frame'),
+        header(stamp_ns, 'camera_imu_optical_frame'),
         TYPES.types['geometry_msgs/msg/Quaternion'](0, 0, 0, 1),
         np.zeros(9),
         vector(*rate),
@@ -91,7 +90,7 @@ def imu_entry(
         vector(*acceleration),
         covariances['acceleration'],
     )
-    return _entry(topic, 'sensor_msgs/msg/Imu', stamp_ns, message)
+    return entry_of(topic, 'sensor_msgs/msg/Imu', stamp_ns, message)
 
 
 def pose_entry(stamp_ns: int, T: np.ndarray, topic: str = '/groundtruth') -> Entry:
@@ -100,16 +99,16 @@ def pose_entry(stamp_ns: int, T: np.ndarray, topic: str = '/groundtruth') -> Ent
     place = transform.translation
     point = TYPES.types['geometry_msgs/msg/Point'](place.x, place.y, place.z)
     pose = TYPES.types['geometry_msgs/msg/Pose'](point, transform.rotation)
-    return _entry(topic, name, stamp_ns, TYPES.types[name](_header(stamp_ns, 'world'), pose))
+    return entry_of(topic, name, stamp_ns, TYPES.types[name](header(stamp_ns, 'world'), pose))
 
 
 def compressed_entry(topic: str, stamp_ns: int, format_: str, data: bytes) -> Entry:
     """Write a CompressedImage."""
     name = 'sensor_msgs/msg/CompressedImage'
     message = TYPES.types[name](
-        _header(stamp_ns, 'camera_color_optical_frame'), format_, np.frombuffer(data, np.uint8)
+        header(stamp_ns, 'camera_color_optical_frame'), format_, np.frombuffer(data, np.uint8)
     )
-    return _entry(topic, name, stamp_ns, message)
+    return entry_of(topic, name, stamp_ns, message)
 
 
 def encoded(extension: str, pixels: np.ndarray) -> bytes:
@@ -150,10 +149,10 @@ def viewer(
     T_depth_ref = se3.inverse(T_COLOR_DEPTH) @ T_color_ref
     for stream, T in ((VIEWER_COLOR, T_color_ref), (VIEWER_DEPTH, T_depth_ref)):
         name = 'geometry_msgs/msg/Transform'
-        yield _entry(f'{stream}/tf/0', name, START_NS, _transform(T))
+        yield entry_of(f'{stream}/tf/0', name, START_NS, _transform(T))
     unit = TYPES.types['std_msgs/msg/Float32'](units_m)
     name = '/device_0/sensor_0/option/Depth_Units/value'
-    yield _entry(name, 'std_msgs/msg/Float32', START_NS, unit)
+    yield entry_of(name, 'std_msgs/msg/Float32', START_NS, unit)
     yield info_entry(START_NS, camera, f'{VIEWER_COLOR}/info/camera_info')
     yield info_entry(START_NS, DEPTH_CAMERA, f'{VIEWER_DEPTH}/info/camera_info')
     for k in range(frames):
@@ -163,33 +162,9 @@ def viewer(
         yield image_entry(f'{VIEWER_COLOR}/image/data', stamp_ns, 'rgb8', color_of(k), frame='0')
 
 
-def write_ros1(path: Path, entries: Iterable[Entry]) -> Path:
-    """Write the same messages as a .bag of ROS 1."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with Writer(path) as writer:
-        connections: dict[str, Any] = {}
-        for entry in entries:
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(
-                    entry.topic, entry.type, typestore=store
-                )
-            raw = TYPES.cdr_to_ros1(entry.cdr, entry.type)
-            writer.write(connections[entry.topic], entry.recorded_ns, bytes(raw))
-    return path
-
-
 def _transform(T: np.ndarray) -> Any:
     w, x, y, z = se3.to_quaternion(T)
     return TYPES.types['geometry_msgs/msg/Transform'](
         TYPES.types['geometry_msgs/msg/Vector3'](*T[:3, 3]),
         TYPES.types['geometry_msgs/msg/Quaternion'](x, y, z, w),
     )
-
-
-def _header(stamp_ns: int, frame: str) -> Any:
-    stamp = TYPES.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 1_000_000_000))
-    return TYPES.types['std_msgs/msg/Header'](stamp, frame)
-
-
-def _entry(topic: str, name: str, stamp_ns: int, message: Any) -> Entry:
-    return Entry(topic, name, stamp_ns + DELAY_NS, bytes(TYPES.serialize_cdr(message, name)))

@@ -30,6 +30,7 @@ from bags import (  # type: ignore[import-not-found]
     info_entry,
     recording,
     write_bag,
+    write_ros1,
 )
 from realsense_bags import (  # type: ignore[import-not-found]
     DEPTH_CAMERA,
@@ -45,7 +46,6 @@ from realsense_bags import (  # type: ignore[import-not-found]
     static_entry,
     unaligned,
     viewer,
-    write_ros1,
 )
 
 from dcgs_ros.core import se3

@@ -20,8 +20,9 @@ from bags import (  # type: ignore[import-not-found]
     image_entry,
     info_entry,
     write_bag,
+    write_ros1,
 )
-from realsense_bags import pose_entry, write_ros1  # type: ignore[import-not-found]
+from realsense_bags import pose_entry  # type: ignore[import-not-found]
 
 from dcgs_ros.cli.main import main
 from dcgs_ros.core import se3

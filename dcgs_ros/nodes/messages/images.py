@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from ...io.ros_images import MessageError, in_millimetres
+from ...io.ros_images import MessageError, exact_pixels, in_metres, in_millimetres
 
 
 def array_of(values: NDArray | bytes | bytearray | memoryview) -> array.array[int]:
@@ -37,7 +37,13 @@ def write_depth_mm(depth_m: NDArray[np.float32], header: Header) -> Image:
 
 def write_depth(depth_m: NDArray[np.float32], header: Header) -> Image:
     """Depth (H, W) in metres as 32FC1, where none is NaN (REP 118)."""
-    return _image(np.where(depth_m > 0, depth_m, np.nan).astype('<f4'), '32FC1', header)
+    return _image(in_metres(depth_m), '32FC1', header)
+
+
+def write_exact_depth(depth_m: NDArray[np.float32], header: Header) -> Image:
+    """Depth (H, W) in metres as 16UC1 where millimetres tell all, else as 32FC1."""
+    encoding, pixels = exact_pixels(depth_m)
+    return _image(pixels, encoding, header)
 
 
 def _image(pixels: NDArray, encoding: str, header: Header) -> Image:

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.tracker import Tracker, TrackResult
+from dcgs_ros.core.tracking.tracker import Tracker, TrackResult
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source

@@ -26,16 +26,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgs_ros.cli.host import machine
-from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapper import Mapper
+from dcgs_ros.core.kernels.workers import Workers, cores
+from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.slam import Lockstep
-from dcgs_ros.core.tracker import Tracker
-from dcgs_ros.core.workers import Workers, cores
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
+from dcgs_ros.evaluation.host import machine
 
 from . import memory
 from .accuracy import REAL

@@ -18,17 +18,18 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgs_ros.cli.host import peak_rss_mb
 from dcgs_ros.core.camera import PinholeCamera
-from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapper import Keyframe, Mapper
+from dcgs_ros.core.kernels.workers import Workers, cores
+from dcgs_ros.core.mapping.mapper import Keyframe, Mapper
 from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.slam import Lockstep
-from dcgs_ros.core.tracker import Tracker
-from dcgs_ros.core.workers import Workers, cores
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.prefetch import prefetch
+from dcgs_ros.evaluation.host import peak_rss_mb
 
 from .panels import draw_panels
 
@@ -87,7 +88,7 @@ def _keyframe(
     means = (rays * frame.depth_m[v, u, None]) @ R.T + t
     normals = -(rays / np.linalg.norm(rays, axis=1, keepdims=True)) @ R.T
     return Keyframe(
-        frame, T_world_cam, T_colour_depth=np.eye(4), ids=np.arange(first, first + count),
+        frame, T_world_cam, T_cam_cam_at_depth=np.eye(4), ids=np.arange(first, first + count),
         means=means.astype(np.float32), normals=normals.astype(np.float32),
     )  # fmt: skip
 

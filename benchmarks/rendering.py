@@ -25,16 +25,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgs_ros.cli.host import machine
-from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe_view import KeyframeView, Rectifier
-from dcgs_ros.core.losses import ImageLoss
-from dcgs_ros.core.mapper import Mapper
+from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.mapping.losses import ImageLoss
+from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.splats import PLANES
+from dcgs_ros.core.mapping.views import KeyframeView, Rectifier
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import View
-from dcgs_ros.core.splats import PLANES
-from dcgs_ros.core.workers import Workers
+from dcgs_ros.evaluation.host import machine
 
 from .surface import wavy
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgs_ros.cli.host import machine
 from dcgs_ros.datasets.open import open_source
-from dcgs_ros.nodes.session import Observer, Processes, sensor_parameters, wait_until
+from dcgs_ros.evaluation.host import machine
+from dcgs_ros.nodes.harness.processes import Observer, Processes, sensor_parameters, wait_until
 
 from .memory import rss_mb
 from .panels import draw_panels

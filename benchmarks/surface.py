@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dcgs_ros.core.camera import PinholeCamera
-from dcgs_ros.core.splats import PLANES, SH_C0, Splats
+from dcgs_ros.core.mapping.splats import PLANES, SH_C0, Splats
 
 
 def wavy(n: int, width: int, height: int, shuffled: bool) -> tuple[Splats, PinholeCamera]:

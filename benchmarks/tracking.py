@@ -16,10 +16,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgs_ros.core.config import Config
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.jit import set_threads
-from dcgs_ros.core.tracker import Tracker
+from dcgs_ros.core.kernels.jit import set_threads
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
 

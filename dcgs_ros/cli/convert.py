@@ -16,17 +16,17 @@ from tqdm import tqdm
 
 from ..core.errors import DcgsError
 from ..core.frame import RgbdFrame
+from ..datasets.bag.writing.storage import STORAGES, BagOptions
+from ..datasets.bag.writing.writer import write_bag
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source, SourceError
-from ..io.bag_storage import STORAGES, BagOptions
-from ..io.bag_writing import write_bag
-from ..io.staging import staged_folder
-from ..io.tum_folder import write_tum_folder
+from ..datasets.tum.writer import write_tum_folder
+from ..io.whole_files import staged_folder
 from .arguments import ConvertArguments, UsageError
-from .outputs import refuse_used
+from .run.outputs import refuse_used
 from .stopping import StopSignals
-from .summary import Row, table
+from .tables import Row, table
 
 _FORMATS = (*STORAGES, 'tum')
 _BY_SUFFIX = {'.db3': 'sqlite3', '.tum': 'tum'}

@@ -9,18 +9,18 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from ..core.kernels.workers import Workers, cores
 from ..core.render import make_renderer
 from ..core.trajectory import Trajectory
-from ..core.workers import Workers, cores
 from ..datasets.open import open_source
 from ..datasets.source import Source
 from ..evaluation.report import Accuracy, accuracy_report, assess, with_rendering
+from ..evaluation.scoring import score_map
 from ..evaluation.trajectory import EvaluationError
 from ..io.map_archive import MapFileError, read_map
 from ..io.trajectory import read_tum
 from .arguments import EvaluateArguments, UsageError
-from .scoring import score_map
-from .summary import accuracy_rows, rendering_rows, table
+from .tables import accuracy_rows, rendering_rows, table
 
 
 def execute(arguments: EvaluateArguments) -> int:

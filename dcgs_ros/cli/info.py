@@ -13,12 +13,12 @@ from ..core.camera import PinholeCamera
 from ..core.frame import RgbdFrame
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
-from ..datasets.bag import BagSource
+from ..datasets.bag.source import BagSource
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source
 from .arguments import InfoArguments
-from .summary import Row, table
+from .tables import Row, table
 
 _SAMPLE = 60  # frames read, from the first
 
@@ -76,7 +76,7 @@ def _recording_rows(source: Source) -> list[Row]:
     topics, mount = source.recorded.topics, source.recorded.mount
     registered = 'as recorded'
     if mount is not None:
-        apart_mm = 1e3 * np.linalg.norm(mount.T_color_depth[:3, 3])
+        apart_mm = 1e3 * np.linalg.norm(mount.T_colorcam_depthcam[:3, 3])
         registered = f'here, by the recorded extrinsics: {apart_mm:.1f} mm apart'
     return [
         ('topics', f'{topics.color}, {topics.depth}'),

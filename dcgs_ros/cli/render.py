@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from ..core.camera import PinholeCamera
+from ..core.kernels.workers import Workers, cores
+from ..core.mapping.splats import Splats
 from ..core.render import make_renderer
 from ..core.render.renderer import View
-from ..core.splats import Splats
 from ..core.trajectory import Trajectory
-from ..core.workers import Workers, cores
 from ..datasets.cameras import PRESETS, parse_intrinsics
+from ..evaluation.map_view import corrections
 from ..io.map_archive import MapFileError, SavedMap, read_map
 from ..io.ply import PlyError, read_ply
 from ..io.trajectory import read_tum
 from .arguments import RenderArguments, UsageError
-from .map_view import corrections
-from .outputs import FolderError, create_folder, refuse_used
 from .pictures import CODECS, ImageFolder, Pictures, Video
+from .run.outputs import FolderError, create_folder, refuse_used
 
 Pose = NDArray[np.float64]  # (4, 4) T_world_cam
 

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from . import lens
 from .errors import DcgsError
+from .kernels import lens
 
 
 class CameraError(DcgsError):

@@ -4,21 +4,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .config.schema import described
 from .errors import DcgsError
 
 
 class SensorError(DcgsError):
     """Noise parameters outside their range."""
-
-
-def _described(default: float, doc: str) -> Any:
-    return field(default=default, metadata={'doc': doc})  # as core.config has it, which needs us
 
 
 @dataclass(frozen=True)
@@ -29,14 +25,14 @@ class SensorNoise:
     at most 1 / cos^2 of the field-of-view's half angle in the image corners.
     """
 
-    a_m: float = _described(
+    a_m: float = described(
         0.0012, 'A of the depth noise A + B z^2: standard deviation at no distance, metres.'
     )
-    b_per_m: float = _described(
+    b_per_m: float = described(
         0.0014, 'B of the depth noise A + B z^2: its growth with the squared distance, 1/metre.'
     )
-    depth_min_m: float = _described(0.3, 'Nearer depth is not used, metres.')
-    depth_max_m: float = _described(5.0, 'Farther depth is not used, metres.')
+    depth_min_m: float = described(0.3, 'Nearer depth is not used, metres.')
+    depth_max_m: float = described(5.0, 'Farther depth is not used, metres.')
 
     def __post_init__(self) -> None:
         """Check the ranges."""

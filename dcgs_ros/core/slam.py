@@ -16,11 +16,11 @@ from typing import Protocol
 
 import numpy as np
 
-from .config import Config
+from .config.stages import Config
 from .frame import RgbdFrame
-from .mapper import Keyframe, Mapper, MapUpdate
-from .tracker import Tracker, TrackingState, TrackResult
-from .workers import give_way
+from .kernels.workers import give_way
+from .mapping.mapper import Keyframe, Mapper, MapUpdate
+from .tracking.tracker import Tracker, TrackingState, TrackResult
 
 
 class Mapping(Protocol):
@@ -42,7 +42,7 @@ class Mapping(Protocol):
         ...
 
 
-class Handover:
+class KeyframeSelector:
     """Chooses the frames that the mapper gets, and makes keyframes of them."""
 
     def __init__(self, tracker: Tracker, config: Config) -> None:
@@ -81,12 +81,14 @@ class Handover:
         if self._first is None:
             return []
         frame, result = self._first
-        return [(frame, replace(result, T_colour_depth=self._tracker.opening_motion))]
+        return [(frame, replace(result, T_cam_cam_at_depth=self._tracker.opening_motion))]
 
     def _keyframe(self, frame: RgbdFrame, result: TrackResult) -> Keyframe:
         gaussians = self._tracker.gaussians
         ids = result.spawned[gaussians.alive(result.spawned)]
-        return Keyframe(frame, result.T_world_cam, result.T_colour_depth, ids, *gaussians.of(ids))
+        return Keyframe(
+            frame, result.T_world_cam, result.T_cam_cam_at_depth, ids, *gaussians.of(ids)
+        )
 
 
 class Lockstep:
@@ -95,7 +97,7 @@ class Lockstep:
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
         """Go along with a tracker that has not tracked anything yet."""
         self._tracker, self._mapper = tracker, mapper
-        self._handover = Handover(tracker, mapper.config)
+        self._handover = KeyframeSelector(tracker, mapper.config)
         self._arrived: list[Keyframe] = []
         self._due = 0.0
 
@@ -136,7 +138,7 @@ class Online:
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
         """Start the thread; it ends with `finish`, or with the process."""
         self._tracker, self._mapper = tracker, mapper
-        self._handover = Handover(tracker, mapper.config)
+        self._handover = KeyframeSelector(tracker, mapper.config)
         self._arrived: queue.SimpleQueue[Keyframe] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[MapUpdate] = queue.SimpleQueue()
         self._stop = threading.Event()

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from ..core.camera import CameraError, PinholeCamera
-from .association import Pair
 from .cameras import PRESETS, CameraPreset, parse_intrinsics
-from .image_sequence import color_size
+from .images.association import StampPair
+from .images.sequence import color_size
 
 MAX_PIXELS = 2**25  # of an image, 8192 x 4096: more is a number that went wrong
 
 
 def chosen_camera(
-    text: str | None, default: CameraPreset, folder: Path, pairs: Sequence[Pair]
+    text: str | None, default: CameraPreset, folder: Path, pairs: Sequence[StampPair]
 ) -> CameraPreset:
     """Take the default, or the preset or intrinsics (with the default's noise) of `text`.
 

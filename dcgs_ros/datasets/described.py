@@ -14,16 +14,16 @@ import yaml
 
 from ..core.camera import PinholeCamera
 from ..core.sensor import SensorError, SensorNoise
-from ..io.atomic import replacing
 from ..io.trajectory import read_tum
-from .association import Pair
+from ..io.whole_files import replacing
 from .camera_files import camera_of, chosen_camera, depth_unit_of, number_of, shown
 from .cameras import PRESETS, CameraPreset
-from .image_sequence import ImageSequence
-from .matrices import read_text
-from .named_images import pair_by_name, pair_by_order
+from .images.association import StampPair
+from .images.named import pair_by_name, pair_by_order
+from .images.sequence import ImageSequence
+from .poses import read_text
 from .source import SourceError
-from .tum_index import check_inside, pair_images, read_index
+from .tum.index import check_inside, pair_images, read_index
 
 FILE = 'dcgs.yaml'
 LAYOUT = f'{FILE} and the images it tells of (described in docs/datasets.md)'
@@ -154,7 +154,7 @@ def _camera(value: object) -> PinholeCamera:
         raise ValueError(f'camera: {error}') from None
 
 
-def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[Pair]:
+def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[StampPair]:
     color, depth = _path_at(tree, 'color'), _path_at(tree, 'depth')
     ways = [
         name

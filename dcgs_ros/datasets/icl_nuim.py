@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
-from .association import Entry, Pair
 from .camera_files import chosen_camera
 from .cameras import PRESETS
-from .image_sequence import ImageSequence
-from .numbered import stamp_of
+from .images.association import Entry, StampPair
+from .images.indexed_frames import stamp_of
+from .images.sequence import ImageSequence
 from .source import SourceError, sequence_name
-from .tum_index import read_index
+from .tum.index import read_index
 
 LAYOUT = 'associations.txt of depth and colour by frame number, and *.gt.freiburg (ICL-NUIM)'
 
@@ -67,10 +67,12 @@ def _truth_files(folder: Path) -> list[Path]:
     return sorted(folder.glob(f'*{_TRUTH_SUFFIX}'))
 
 
-def _read_pairs(path: Path) -> list[Pair]:
+def _read_pairs(path: Path) -> list[StampPair]:
     """Read rows of `number depth number colour`."""
     return [
-        Pair(*(Entry(stamp_of(_number(path, entry.stamp_ns)), entry.path) for entry in row[::-1]))
+        StampPair(
+            *(Entry(stamp_of(_number(path, entry.stamp_ns)), entry.path) for entry in row[::-1])
+        )
         for row in read_index(path, 2)
     ]
 

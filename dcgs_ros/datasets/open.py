@@ -8,10 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from . import bag, described, icl_nuim, replica, scannet, seven_scenes, tum
-from .bag_messages import is_bag
-from .bag_topics import split_topics
+from . import described, icl_nuim, replica, seven_scenes
+from .bag import source as bag
+from .bag.messages import is_bag
+from .bag.topics import split_topics
+from .scannet import source as scannet
 from .source import Source, SourceError
+from .tum import source as tum
 
 
 class Format(NamedTuple):
@@ -47,7 +50,7 @@ def open_source(
     if address.startswith('synthetic:'):
         if camera is not None or groundtruth is not None:
             raise SourceError(f'{address} brings its own camera and ground truth: give neither')
-        from .synthetic import SyntheticSource  # a ray caster that a dataset has no use for
+        from .synthetic.source import SyntheticSource  # a ray caster that a dataset has no use for
 
         return SyntheticSource.from_address(address)
     path, color, depth = split_topics(address)

@@ -13,9 +13,9 @@ from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
 from .camera_files import camera_of, chosen_camera, depth_unit_of
 from .cameras import PRESETS, CameraPreset
-from .image_sequence import ImageSequence
-from .matrices import parse_matrix, read_text
-from .numbered import numbered_pairs, numbered_poses
+from .images.indexed_frames import numbered_pairs, numbered_poses
+from .images.sequence import ImageSequence
+from .poses import parse_matrix, read_text
 from .source import SourceError
 
 LAYOUT = "results/ with frame000000.jpg, depth000000.png ..., and traj.txt (NICE-SLAM's Replica)"

@@ -14,13 +14,13 @@ from ..core import se3
 from ..core.camera import PinholeCamera
 from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
-from .association import Pair
 from .camera_files import chosen_camera
 from .cameras import PRESETS
-from .depth_registration import register_depth
-from .image_sequence import Images, ImageSequence
-from .matrices import read_pose
-from .numbered import numbered_pairs, numbered_poses
+from .images.association import StampPair
+from .images.depth_registration import register_depth
+from .images.indexed_frames import numbered_pairs, numbered_poses
+from .images.sequence import Images, ImageSequence
+from .poses import read_pose
 
 LAYOUT = 'frame-000000.color.png, .depth.png and .pose.txt ... (7-Scenes)'
 
@@ -65,7 +65,7 @@ def _register(
     return color, register_depth(depth_m, DEPTH_CAMERA, T_COLOR_DEPTH, camera)
 
 
-def _read_truth(folder: Path, pairs: list[Pair]) -> Trajectory | None:
+def _read_truth(folder: Path, pairs: list[StampPair]) -> Trajectory | None:
     """Poses of the colour camera; None where there is no file of them."""
     poses = {}
     for pair in pairs:

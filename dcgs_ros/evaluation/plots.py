@@ -93,7 +93,7 @@ def _draw_view(
         during = slice(first, last + 1)
         true = truth.T_world_cam[during][:, [view.right, view.up], 3]
         ax.plot(*true.T, color=_TRUTH_COLOR, linewidth=3.0, alpha=0.6, label='truth')
-        ax.add_collection(_coloured_path(flat, estimate, ate))
+        ax.add_collection(_colored_path(flat, estimate, ate))
     ax.plot(*flat[0], 'o', color='#2a9d3f', markersize=6, label='start', zorder=5)
     ax.plot(*flat[-1], 's', color='#c0392b', markersize=6, label='end', zorder=5)
     ax.set(title=view.title, xlabel=f'{"xyz"[view.right]} (m)', ylabel=f'{"xyz"[view.up]} (m)')
@@ -104,7 +104,7 @@ def _draw_view(
     ax.grid(alpha=0.25)
 
 
-def _coloured_path(flat: NDArray, estimate: Trajectory, ate: AteResult) -> LineCollection:
+def _colored_path(flat: NDArray, estimate: Trajectory, ate: AteResult) -> LineCollection:
     """Colour the path by its error; poses without truth take their neighbours'."""
     errors_cm = 100 * np.interp(estimate.stamps_ns, ate.stamps_ns, ate.errors_m)
     lines = LineCollection(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.tracker import TrackingState, TrackResult
+from ..core.tracking.tracker import TrackingState, TrackResult
 from ..core.trajectory import Trajectory
 from .rendering import ViewScores, rendering_report
 from .trajectory import (

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import DcgsError
-from .atomic import replacing
+from .whole_files import replacing
 
 VERSION = 1  # of the archive and of what the package keeps in one
 

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..core.camera import PinholeCamera
-from ..core.config import Config, flatten, override
+from ..core.config.schema import flatten, override
+from ..core.config.stages import Config
 from ..core.errors import DcgsError
-from ..core.splats import Splats
+from ..core.mapping.splats import Splats
 from .archive import Archive, ArchiveError, read_archive, write_archive
 
 # Fields of `SavedMap` that are arrays of the same name in the file.

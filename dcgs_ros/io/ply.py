@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import DcgsError
-from ..core.splats import PLANES, Splats
-from .atomic import replacing
+from ..core.mapping.splats import PLANES, Splats
+from .whole_files import replacing
 
 # The reference implementation's order; some readers take properties by position.
 _WRITTEN = (

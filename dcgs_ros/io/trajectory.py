@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
-from .atomic import replacing
+from .whole_files import replacing
 
 # Four decimals, as TUM prints quaternions, leave the norm right to 1e-4; a hundred times that is
 # no rounding any more but another quantity in these columns.

@@ -20,7 +20,7 @@ from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 from ..datasets.open import open_source
 from ..evaluation.trajectory import absolute_trajectory_error
-from .session import Observer, Processes, sensor_parameters, wait_until
+from .harness.processes import Observer, Processes, sensor_parameters, wait_until
 
 _LOADED_S = 300.0  # the first time kernels are compiled
 _SETTLE_S = 2.0

@@ -18,23 +18,24 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from ..core.config import ONLINE, override
+from ..core.config.nodes import MapperSettings, core_config
+from ..core.config.presets import ONLINE
+from ..core.config.schema import override
 from ..core.errors import DcgsError
-from ..core.warmup import ANY_CAMERA, warm_up_with_mapper
-from ..core.workers import give_way
+from ..core.kernels.workers import give_way
+from ..core.tracking.warmup import ANY_CAMERA, warm_up_with_mapper
 from ..io.ros_images import stamp_ns
-from .health import LOADING, Level
-from .inbox import Inbox
-from .keyframe_messages import TOPICS, read_keyframe
 from .lifetime import Worker, run
-from .map_outputs import MapOutputs
-from .mapping import Mapping
-from .messages.diagnostics import diagnostics, status
+from .mapping.outputs import MapOutputs
+from .mapping.session import Mapping
+from .messages.keyframes import TOPICS, read_keyframe
 from .messages.poses import matrix
-from .pairing import Joiner
+from .messages.standard import diagnostics, status
 from .parameters import Parameters
-from .settings import MapperSettings, core_config
+from .tracking.health import LOADING, Level
+from .tracking.pairing import Joiner
 from .transport import RELIABLE
+from .work_queue import WorkQueue
 
 _WAITING_KEYFRAMES = 32
 _INCOMPLETE = 16  # stamps of which some topics are still on their way
@@ -56,7 +57,7 @@ class MapperNode(Node):
         self._mapping = Mapping(core_config(settings), self._say)
         self._outputs = MapOutputs(self, settings.node)
         self._joiner = Joiner(tuple(TOPICS), _INCOMPLETE)
-        self._inbox: Inbox[dict[str, Any]] = Inbox(_WAITING_KEYFRAMES)
+        self._inbox: WorkQueue[dict[str, Any]] = WorkQueue(_WAITING_KEYFRAMES)
         self._pose: PoseStamped | None = None
         self._taken_s: float | None = None
         self._ready = False

@@ -17,7 +17,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ..core.config import ConfigError, S, Setting, flatten, override, settings
+from ..core.config.schema import ConfigError, S, Setting, flatten, override, settings
 from ..core.errors import DcgsError
 
 _AUTO = 'auto'  # None, which no parameter can be

@@ -19,15 +19,15 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 
+from ..core.config.nodes import ReplaySettings
 from ..datasets.prefetch import prefetch
-from .extrinsics import LOOKING_FORWARD
 from .lifetime import Worker, run
-from .messages.headers import header, time_message
 from .messages.poses import transform_stamped
+from .messages.standard import header, time_message
 from .parameters import Parameters
-from .playback import Cue, Pace, schedule
-from .reels import Output, make_reel
-from .settings import ReplaySettings
+from .playback.schedule import Pacer, ScheduledItem, schedule
+from .playback.sources import Output, open_playback
+from .tracking.extrinsics import LOOKING_FORWARD
 from .transforms import make_transforms
 from .transport import RELIABLE, sensor_qos
 
@@ -52,7 +52,7 @@ class ReplayNode(Node):
         ).settings
         s = self._settings
         camera = None if s.camera == 'auto' else s.camera
-        self._reel = make_reel(s.source, camera, s.color_frame, self._warn)
+        self._reel = open_playback(s.source, camera, s.color_frame, self._warn)
         qos = sensor_qos(s.reliability)
         self._outputs: dict[Output, Publisher] = {
             output: self.create_publisher(type_, topic, qos)
@@ -85,7 +85,7 @@ class ReplayNode(Node):
         s = self._settings
         self.get_logger().info(f'playing {s.source}')
         start_s, count = time.monotonic(), 0
-        pace = Pace(s.rate, self._tell_time, self._stop)
+        pace = Pacer(s.rate, self._tell_time, self._stop)
         with closing(prefetch(self._converted())) as ready:
             for cue, messages in ready:
                 if not pace.wait(cue):
@@ -98,7 +98,7 @@ class ReplayNode(Node):
         self._settle(*_TOPICS)
         self.get_logger().info(f'{count} frames in {time.monotonic() - start_s:.1f} s')
 
-    def _converted(self) -> Iterator[tuple[Cue[Any], list[tuple[Output, Any]]]]:
+    def _converted(self) -> Iterator[tuple[ScheduledItem[Any], list[tuple[Output, Any]]]]:
         """Messages of the whole playback."""
         s = self._settings
         cues = schedule(self._reel.items, s.start_s, s.duration_s, s.loop, s.continuous_stamps)

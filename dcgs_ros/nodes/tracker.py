@@ -19,29 +19,30 @@ from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from ..core.camera import PinholeCamera
-from ..core.config import ONLINE, override
+from ..core.config.nodes import TrackerSettings, core_config
+from ..core.config.presets import ONLINE
+from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.frame import RgbdFrame
-from ..core.tracker import TrackingState, TrackResult
+from ..core.tracking.tracker import TrackingState, TrackResult
+from ..core.tracking.warmup import ANY_CAMERA, warm_up
 from ..core.trajectory import Trajectory
-from ..core.warmup import ANY_CAMERA, warm_up
 from ..io.ros_images import MessageError
 from ..io.trajectory import write_tum
-from .extrinsics import base_to_camera, given_extrinsics
-from .health import LOADING, judge, numbers
-from .intake import Intake, read_frame
-from .keyframe_link import KeyframeLink
-from .keyframe_messages import read_answer
 from .lifetime import Worker, run
-from .map_messages import read_stamps
 from .messages.clouds import KEYFRAME_POSE, read_cloud
-from .messages.diagnostics import diagnostics, status
+from .messages.keyframes import read_answer
+from .messages.maps import read_stamps
 from .messages.odometry import Body
-from .offers import Offer, Offers
+from .messages.standard import diagnostics, status
 from .parameters import Parameters
-from .settings import TrackerSettings, core_config
-from .tracker_outputs import TrackerOutputs
-from .tracking import Tracking
+from .tracking.camera_subscriber import CameraSubscriber, read_frame
+from .tracking.extrinsics import base_to_camera, given_extrinsics
+from .tracking.health import LOADING, judge, numbers
+from .tracking.keyframe_publisher import KeyframePublisher
+from .tracking.keyframe_sender import KeyframePacket, KeyframeSender
+from .tracking.outputs import TrackerOutputs
+from .tracking.session import Tracking
 from .transforms import make_transforms
 from .transport import RELIABLE, latched
 
@@ -62,10 +63,12 @@ class TrackerNode(Node):
         given_extrinsics(settings.node)  # what cannot be is to be told at the start
         self._transforms = make_transforms(self)
         self._outputs = TrackerOutputs(self, settings.node, self._transforms)
-        self._link = KeyframeLink(self, self._outputs.world)
-        self._intake = Intake(self, settings.node, self._say)
+        self._link = KeyframePublisher(self, self._outputs.world)
+        self._intake = CameraSubscriber(self, settings.node, self._say)
         self._tracking = Tracking(core_config(settings), np.eye(4), self._say)
-        self._offers = Offers(self._link, settings.node.keyframe_memory_mb, self._tracking.alive)
+        self._offers = KeyframeSender(
+            self._link, settings.node.keyframe_memory_mb, self._tracking.alive
+        )
         self._body: Body | None = None
         self._ready, self._ms = False, 0.0
         self._result: TrackResult | None = None
@@ -155,7 +158,7 @@ class TrackerNode(Node):
             self._remember(result.stamp_ns, self._body.pose(result.T_world_cam))
         self._link.camera_frame = camera_frame
         for keyframe in tracking.keyframes(frame, result):
-            self._offers.put(Offer(tracking.epoch, camera, keyframe))
+            self._offers.put(KeyframePacket(tracking.epoch, camera, keyframe))
 
     def _remember(self, stamp_ns: int, T_world_base: NDArray[np.float64]) -> None:
         if self._way and stamp_ns <= self._way[-1][0]:  # a recording played once more

@@ -4,18 +4,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))  # `test` itself is no package
-
 from running import SMALL_CAMERA, SMALL_ROOM, Run, run_into  # type: ignore[import-not-found]
 
-from dcgs_ros.cli import scoring
-from dcgs_ros.datasets.synthetic import SyntheticSource
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.evaluation import scoring
 
 
 @pytest.fixture(scope='module')

@@ -19,10 +19,10 @@ from running import run_into  # type: ignore[import-not-found]
 
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.bag import BagSource
+from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.described import open_described
 from dcgs_ros.datasets.source import Source
-from dcgs_ros.datasets.tum import open_tum
+from dcgs_ros.datasets.tum.source import open_tum
 
 pytest.importorskip('rosbags')
 

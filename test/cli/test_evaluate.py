@@ -19,12 +19,12 @@ from running import (  # type: ignore[import-not-found]
     run_into,
 )
 
-from dcgs_ros.cli import scoring
 from dcgs_ros.cli.main import main
+from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.trajectory import Trajectory
-from dcgs_ros.core.workers import Workers
 from dcgs_ros.datasets.open import open_source
+from dcgs_ros.evaluation import scoring
 from dcgs_ros.evaluation.contact_sheet import MAX_ROWS
 from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.io.trajectory import read_tum, write_tum

@@ -16,7 +16,8 @@ import pytest
 
 from dcgs_ros import __version__
 from dcgs_ros.cli.main import main
-from dcgs_ros.core.config import Config, flatten
+from dcgs_ros.core.config.schema import flatten
+from dcgs_ros.core.config.stages import Config
 
 Writer = Callable[..., Path]
 

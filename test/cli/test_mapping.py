@@ -25,16 +25,16 @@ from running import (  # type: ignore[import-not-found]
     run_into,
 )
 
-from dcgs_ros.cli import session
-from dcgs_ros.core.config import Config
+from dcgs_ros.cli.run import session
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
-from dcgs_ros.core.mapper import Mapper
-from dcgs_ros.core.tracker import Tracker
+from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.cameras import PRESETS
-from dcgs_ros.datasets.synthetic import SyntheticSource
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.io.map_archive import SavedMap, read_map
 from dcgs_ros.io.ply import read_ply
-from dcgs_ros.io.settings import apply_file
 from dcgs_ros.io.trajectory import read_tum
 
 RENDERING = {

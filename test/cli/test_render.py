@@ -17,11 +17,11 @@ from running import SMALL_CAMERA, SMALL_FRAMES, Run  # type: ignore[import-not-f
 
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.mapping.splats import PLANES, Splats
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import Rendering, View
-from dcgs_ros.core.splats import PLANES, Splats
 from dcgs_ros.core.trajectory import Trajectory
-from dcgs_ros.core.workers import Workers
 from dcgs_ros.io.map_archive import SavedMap, read_map, write_map
 from dcgs_ros.io.ply import write_ply
 from dcgs_ros.io.trajectory import read_tum, write_tum

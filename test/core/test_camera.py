@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dcgs_ros.core import lens
 from dcgs_ros.core.camera import CameraError, PinholeCamera
+from dcgs_ros.core.kernels import lens
 
 PIXEL = 1e-3  # float32 pixels of an image this size, and OpenCV's own rounding
 RAY = 1e-6  # of x/z, y/z in float32

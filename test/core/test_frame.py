@@ -21,7 +21,7 @@ def depth(*shape: int, dtype: type = np.float32) -> NDArray:
 
 
 @pytest.mark.parametrize('shape', [(48, 64), (48, 64, 3)])
-def test_grey_and_colour_are_frames(shape: tuple[int, ...]) -> None:
+def test_grey_and_color_are_frames(shape: tuple[int, ...]) -> None:
     frame = RgbdFrame(5, 7, color(*shape), depth(48, 64))
     assert (frame.stamp_ns, frame.depth_stamp_ns) == (5, 7)
 

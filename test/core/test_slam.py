@@ -16,13 +16,14 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
-from dcgs_ros.core.config import Config, override
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.gaussian_map import GaussianMap
-from dcgs_ros.core.mapper import Keyframe, Mapper, MapUpdate
-from dcgs_ros.core.slam import Handover, Lockstep, Online, apply
-from dcgs_ros.core.tracker import Tracker, TrackingState, TrackResult
-from dcgs_ros.datasets.synthetic import SyntheticSource
+from dcgs_ros.core.mapping.mapper import Keyframe, Mapper, MapUpdate
+from dcgs_ros.core.slam import KeyframeSelector, Lockstep, Online, apply
+from dcgs_ros.core.tracking.gaussian_map import GaussianMap
+from dcgs_ros.core.tracking.tracker import Tracker, TrackingState, TrackResult
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 PATIENCE_S = 20.0  # far more than any wait here takes
 SLOW_S = 0.3  # of a mapper that is
@@ -108,8 +109,8 @@ def update(
     return MapUpdate(ids, np.full((n, 3), 9.0, np.float32), normals, flatness, removed)
 
 
-def handover(tracker: FakeTracker, interval: int = 3) -> Handover:
-    return Handover(
+def handover(tracker: FakeTracker, interval: int = 3) -> KeyframeSelector:
+    return KeyframeSelector(
         cast(Tracker, tracker), override(Config(), {'mapping.view_interval': interval})
     )
 
@@ -118,7 +119,7 @@ def lockstep(tracker: FakeTracker, mapper: FakeMapper) -> Lockstep:
     return Lockstep(cast(Tracker, tracker), cast(Mapper, mapper))
 
 
-def handed(over: Handover, *tracked: tuple[RgbdFrame, TrackResult]) -> list[list[int]]:
+def handed(over: KeyframeSelector, *tracked: tuple[RgbdFrame, TrackResult]) -> list[list[int]]:
     """Stamps of the keyframes that each frame brought."""
     return [[k.frame.stamp_ns for k in over.after(*pair)] for pair in tracked]
 
@@ -197,7 +198,7 @@ def test_a_keyframe_is_what_was_tracked_and_what_is_still_alive_of_it() -> None:
     alive = result.spawned[[0, 2]]
     assert keyframe.frame is frame
     np.testing.assert_array_equal(keyframe.T_world_cam, result.T_world_cam)
-    np.testing.assert_array_equal(keyframe.T_colour_depth, result.T_colour_depth)
+    np.testing.assert_array_equal(keyframe.T_cam_cam_at_depth, result.T_cam_cam_at_depth)
     np.testing.assert_array_equal(keyframe.ids, alive)
     np.testing.assert_array_equal(keyframe.means, tracker.gaussians.means[alive])
     np.testing.assert_array_equal(keyframe.normals, tracker.gaussians.normals[alive])
@@ -500,13 +501,13 @@ def test_the_depth_of_the_first_keyframe_is_placed_as_its_gaussians_are() -> Non
     """By how far the camera went between the stamps; their constant offset is not known yet."""
     source, frames = opening()
     tracker = tracker_for(source)
-    over = Handover(tracker, tracker.config)
+    over = KeyframeSelector(tracker, tracker.config)
     assert over.after(frames[0], tracker.track(frames[0])) == []
     (keyframe, *_) = over.after(frames[1], tracker.track(frames[1]))
     taken_ns = keyframe.frame.depth_stamp_ns + round(source.colour_depth_offset_ms * 1e6)
     colour, depth = source.pose(keyframe.frame.stamp_ns), source.pose(taken_ns)
     motion = se3.log(se3.inverse(colour) @ depth)
-    error = se3.log(se3.inverse(se3.inverse(colour) @ depth) @ keyframe.T_colour_depth)
+    error = se3.log(se3.inverse(se3.inverse(colour) @ depth) @ keyframe.T_cam_cam_at_depth)
     assert np.linalg.norm(error[:3]) < 0.6 * np.linalg.norm(motion[:3])
     assert np.linalg.norm(error[3:]) < 0.6 * np.linalg.norm(motion[3:])
 

@@ -17,7 +17,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.image_sequence import ImageSequence
+from dcgs_ros.datasets.images.sequence import ImageSequence
 
 CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5)
 NUMBERS_JSON = {'w': 64, 'h': 48, 'fx': 50.0, 'fy': 51.0, 'cx': 31.5, 'cy': 23.5, 'scale': 6553.5}

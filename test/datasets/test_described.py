@@ -20,7 +20,7 @@ from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.cameras import PRESETS
 from dcgs_ros.datasets.described import is_described, open_described, write_description
 from dcgs_ros.datasets.source import SourceError
-from dcgs_ros.datasets.tum import open_tum
+from dcgs_ros.datasets.tum.source import open_tum
 from dcgs_ros.io.trajectory import format_stamp_ns
 
 FLOAT32_STEP = 1e-6  # metres, at a few metres

@@ -28,7 +28,7 @@ from dcgs_ros.cli.main import main
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.icl_nuim import mirrored
-from dcgs_ros.datasets.synthetic import SyntheticSource
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.cameras import PRESETS
 from dcgs_ros.datasets.icl_nuim import is_icl_nuim, mirrored, open_icl_nuim
-from dcgs_ros.datasets.numbered import stamp_of
+from dcgs_ros.datasets.images.indexed_frames import stamp_of
 from dcgs_ros.datasets.source import SourceError
 
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images

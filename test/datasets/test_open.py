@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from bags import recording, write_bag  # type: ignore[import-not-found]
 
-from dcgs_ros.datasets.image_sequence import ImageSequence
+from dcgs_ros.datasets.images.sequence import ImageSequence
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import SourceError
-from dcgs_ros.datasets.synthetic import SyntheticSource
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 
 def test_a_folder_is_read_as_tum(tum_folder: Callable[..., Path]) -> None:

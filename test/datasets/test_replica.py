@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from dcgs_ros.core import se3
 from dcgs_ros.datasets.cameras import PRESETS
-from dcgs_ros.datasets.matrices import parse_matrix
-from dcgs_ros.datasets.numbered import numbered_poses, stamp_of
+from dcgs_ros.datasets.images.indexed_frames import numbered_poses, stamp_of
+from dcgs_ros.datasets.poses import parse_matrix
 from dcgs_ros.datasets.replica import is_replica, open_replica
 from dcgs_ros.datasets.source import BadFrame, SourceError
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dcgs_ros.datasets.cameras import PRESETS
-from dcgs_ros.datasets.numbered import stamp_of
+from dcgs_ros.datasets.images.indexed_frames import stamp_of
 from dcgs_ros.datasets.seven_scenes import DEPTH_CAMERA, is_seven_scenes, open_seven_scenes
 from dcgs_ros.datasets.source import BadFrame, SourceError
 
@@ -37,7 +37,7 @@ def test_a_wall_stays_as_far_away(tmp_path: Path) -> None:
         np.testing.assert_allclose(seen, (1.0, 2.5)[k], atol=FLOAT32_STEP)
 
 
-def test_an_edge_is_seen_by_the_colour_camera_where_it_stands(tmp_path: Path) -> None:
+def test_an_edge_is_seen_by_the_color_camera_where_it_stands(tmp_path: Path) -> None:
     z, column = 1.5, 400  # left of the column, there is a board; right of it nothing
     depth_mm = wall(1500)
     depth_mm[:, column:] = 65535
@@ -101,7 +101,7 @@ def test_nothing_but_missing_depth_is_a_bad_frame(tmp_path: Path) -> None:
     assert '64x48' in wrong.reason
 
 
-def test_intrinsics_are_those_of_colour(tmp_path: Path) -> None:
+def test_intrinsics_are_those_of_color(tmp_path: Path) -> None:
     folder = folders.write_seven_scenes(tmp_path / 'seq-01', [wall(1000)])
     source = open_seven_scenes(folder, '600,600,320,240')
     (frame,) = folders.good_frames(source)

@@ -97,7 +97,7 @@ def test_of_many_views_a_few_are_shown_from_first_to_last(tmp_path: Path) -> Non
     np.testing.assert_allclose(reds, [0.0, 0.3, 0.6, 0.9], atol=HALF_GREY_LEVEL)
 
 
-def test_colours_are_clipped_before_they_are_mixed(tmp_path: Path) -> None:
+def test_colors_are_clipped_before_they_are_mixed(tmp_path: Path) -> None:
     rendered = np.zeros((480, 2 * MAX_WIDTH_PX, 3), np.float32)
     rendered[:, ::2] = 9.0
     image = sheet(tmp_path / 'a.png', [ContactPair('', rendered, rendered)])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dcgs_ros.core import se3
-from dcgs_ros.core.observability import Observability
-from dcgs_ros.core.tracker import TrackingState, TrackResult
+from dcgs_ros.core.tracking.observability import Observability
+from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.evaluation.rendering import Scores, ViewScores
 from dcgs_ros.evaluation.report import (
@@ -46,7 +46,7 @@ def tracked(
     T_world_cam = se3.exp(np.array([np.sin(0.3 * index), 0.1 * index, 0, 0, 0, 0.02 * index]))
     result = TrackResult(
         stamp_ns=index * FRAME_NS,
-        T_colour_depth=np.eye(4),
+        T_cam_cam_at_depth=np.eye(4),
         T_world_cam=T_world_cam,
         covariance=np.eye(6),
         state=state,

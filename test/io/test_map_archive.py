@@ -22,8 +22,9 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from dcgs_ros.core.camera import PinholeCamera
-from dcgs_ros.core.config import Config, flatten, override
-from dcgs_ros.core.splats import Splats
+from dcgs_ros.core.config.schema import flatten, override
+from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.mapping.splats import Splats
 from dcgs_ros.io.archive import Archive, read_archive, write_archive
 from dcgs_ros.io.map_archive import MapFileError, SavedKeyframe, SavedMap, read_map, write_map
 

@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dcgs_ros.core.splats import PLANES, Splats
+from dcgs_ros.core.mapping.splats import PLANES, Splats
 from dcgs_ros.io.ply import PlyError, read_ply, write_ply
 
 LOAD_LIMIT_S = 2.0  # for a million Gaussians

@@ -60,7 +60,7 @@ def drawn(layout: dict[str, Any]) -> tuple[np.random.Generator, tuple[int, int],
 
 
 @given(LAYOUTS, st.sampled_from(['rgb8', 'bgr8', 'mono8']))
-def test_colour_is_read_from_any_layout(layout: dict[str, Any], encoding: str) -> None:
+def test_color_is_read_from_any_layout(layout: dict[str, Any], encoding: str) -> None:
     rng, shape, options = drawn(layout)
     full = shape if encoding == 'mono8' else (*shape, 3)
     pixels = rng.integers(0, 256, full, dtype=np.uint8)
@@ -111,7 +111,7 @@ def test_what_is_no_distance_is_none(bad: float, big: bool) -> None:
 
 
 @pytest.mark.parametrize('encoding', ['rgb8', 'mono8'])
-def test_plain_colour_is_not_copied(encoding: str) -> None:
+def test_plain_color_is_not_copied(encoding: str) -> None:
     pixels = np.zeros((4, 6, 3)[: 3 if encoding == 'rgb8' else 2], np.uint8)
     message = image(pixels, encoding, buffer='array of rclpy')
     assert np.shares_memory(read_color(message), np.frombuffer(message.data, np.uint8))
@@ -154,7 +154,7 @@ def test_a_broken_image_is_refused_with_its_numbers(fault: str) -> None:
 
 
 @pytest.mark.parametrize('encoding', ['16UC1', '32FC1', 'RGB8', 'rgba8', 'yuv422', 'jpeg'])
-def test_what_is_no_colour_is_refused(encoding: str) -> None:
+def test_what_is_no_color_is_refused(encoding: str) -> None:
     with pytest.raises(MessageError, match=f"colour is '{encoding}', not one of rgb8, bgr8"):
         read_color(SimpleNamespace(**{**GOOD, 'encoding': encoding}))
 

@@ -6,15 +6,11 @@ from __future__ import annotations
 
 import os
 import random
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))  # `test` itself is no package
-sys.path.insert(0, str(Path(__file__).parent / 'messages'))
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -55,7 +51,7 @@ def robot(tmp_path: Path) -> Iterator[Any]:
     pytest.importorskip('rclpy')
     from robot import Robot, sequence  # type: ignore[import-not-found]
 
-    from dcgs_ros.nodes.session import Observer, Processes
+    from dcgs_ros.nodes.harness.processes import Observer, Processes
 
     with Processes(tmp_path) as processes:
         observer = Observer(processes.domain, with_map=True)

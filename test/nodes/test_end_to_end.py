@@ -16,8 +16,8 @@ from robot import LOADED_S, Robot  # type: ignore[import-not-found]
 
 from dcgs_ros.evaluation.trajectory import absolute_trajectory_error
 from dcgs_ros.io.map_archive import read_map
-from dcgs_ros.nodes.ids import split_ids
-from dcgs_ros.nodes.session import Observer, wait_until
+from dcgs_ros.nodes.harness.processes import Observer, wait_until
+from dcgs_ros.nodes.messages.ids import split_ids
 
 pytestmark = pytest.mark.slow
 

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 import yaml
 
-from dcgs_ros.core.config import flatten
-from dcgs_ros.nodes.settings import ReplaySettings, TrackerSettings
+from dcgs_ros.core.config.nodes import ReplaySettings, TrackerSettings
+from dcgs_ros.core.config.schema import flatten
 
 ROOT = Path(__file__).resolve().parents[2]
 VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'

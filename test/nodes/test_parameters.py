@@ -20,11 +20,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from dcgs_ros.core.config import Config, ConfigError, flatten, override, settings
+from dcgs_ros.core.config.nodes import MapperSettings, ReplaySettings, TrackerSettings
+from dcgs_ros.core.config.schema import ConfigError, flatten, override, settings
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import DcgsError
-from dcgs_ros.io.settings import apply_file
+from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.nodes.parameters import Parameters
-from dcgs_ros.nodes.settings import MapperSettings, ReplaySettings, TrackerSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 TYPES = {

@@ -21,14 +21,6 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('rosbags')
 
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image
-
-sys.path.insert(0, str(Path(__file__).parents[1] / 'datasets'))
-
 from bags import (  # type: ignore[import-not-found]
     COLOR,
     DEPTH,
@@ -39,14 +31,19 @@ from bags import (  # type: ignore[import-not-found]
     recording,
     write_bag,
 )
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from realsense_bags import compressed  # type: ignore[import-not-found]
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image
 
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.bag_messages import read_header
+from dcgs_ros.datasets.bag.messages import read_header
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.io.ros_images import read_camera, read_color, read_depth, stamp_ns
-from dcgs_ros.nodes.messages.headers import header
-from dcgs_ros.nodes.reels import make_reel
+from dcgs_ros.nodes.messages.standard import header
+from dcgs_ros.nodes.playback.sources import open_playback
 
 ENDS_S = 30.0  # a process that plays for a second, on a loaded machine
 FRAMES = 12
@@ -267,7 +264,7 @@ def test_a_real_sequence_arrives_whole_at_its_own_rate(data_dir: Path) -> None:
 def test_depth_is_sent_in_millimetres_only_where_they_tell_all(
     tum_folder: Callable[..., Path],
 ) -> None:
-    reel = make_reel(str(tum_folder('fr1_small')), None, 'optical', lambda _: None)
+    reel = open_playback(str(tum_folder('fr1_small')), None, 'optical', lambda _: None)
     whole = np.full((480, 640), 1.234, np.float32)
     finer, farther = whole.copy(), whole.copy()
     finer[3, 5], farther[3, 5] = 1.2342, 65.536
@@ -285,16 +282,16 @@ def test_frames_that_cannot_be_read_are_told_and_left_out(tum_folder: Callable[.
     folder = tum_folder('small', frames=3)
     said: list[str] = []
     (folder / 'depth' / '1.png').write_bytes(b'no image')
-    reel = make_reel(str(folder), '50,50,31.5,23.5', 'optical', said.append)
+    reel = open_playback(str(folder), '50,50,31.5,23.5', 'optical', said.append)
     assert len(list(reel.items())) == 2
     assert len(said) == 1 and 'frame 2 of 3' in said[0]
 
 
 def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
     path = str(write_bag(tmp_path / 'bag', recording(2)))
-    raw = make_reel(path, None, 'optical', lambda _: None)
+    raw = open_playback(path, None, 'optical', lambda _: None)
     assert raw.camera_frame == 'camera_color_optical_frame'
-    converted = make_reel(path, '60,61,32,24', 'optical', lambda _: None)
+    converted = open_playback(path, '60,61,32,24', 'optical', lambda _: None)
     (_, frame), _ = converted.items()
     assert read_camera(dict(converted.messages(frame, 0))['camera_info']).fy == 61
 
@@ -302,7 +299,7 @@ def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
 def test_a_bag_of_compressed_images_is_converted(tmp_path: Path) -> None:
     entries = [entry for entry in recording(2) if entry.topic == INFO]
     path = str(write_bag(tmp_path / 'bag', [*entries, *compressed(2)]))
-    reel = make_reel(path, None, 'optical', lambda _: None)
+    reel = open_playback(path, None, 'optical', lambda _: None)
     for (_, frame), expected in zip(reel.items(), open_source(path), strict=True):
         assert isinstance(expected, RgbdFrame)
         messages = dict(reel.messages(frame, 0))

@@ -35,13 +35,17 @@ from test_fuzz import (  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapper import Keyframe
-from dcgs_ros.nodes.keyframe_messages import TOPICS, write_keyframe
-from dcgs_ros.nodes.messages.camera_info import write_camera
-from dcgs_ros.nodes.messages.headers import header, time_message
-from dcgs_ros.nodes.messages.images import write_color, write_depth_mm
-from dcgs_ros.nodes.offers import Offer
-from dcgs_ros.nodes.session import wait_until
+from dcgs_ros.core.mapping.mapper import Keyframe
+from dcgs_ros.nodes.harness.processes import wait_until
+from dcgs_ros.nodes.messages.keyframes import TOPICS, write_keyframe
+from dcgs_ros.nodes.messages.standard import (
+    header,
+    time_message,
+    write_camera,
+    write_color,
+    write_depth_mm,
+)
+from dcgs_ros.nodes.tracking.keyframe_sender import KeyframePacket
 from dcgs_ros.nodes.transport import RELIABLE
 
 pytestmark = pytest.mark.slow
@@ -342,7 +346,7 @@ def fuzz_keyframes(robot: Robot, count: int) -> None:
     for k in range(count):
         frame = RgbdFrame(k + 1, k + 1, COLOR, DEPTH)
         keyframe = Keyframe(frame, np.eye(4), np.eye(4), np.arange(40), means, means)
-        messages = write_keyframe(Offer(1, CAMERA, keyframe), 'odom', 'camera')
+        messages = write_keyframe(KeyframePacket(1, CAMERA, keyframe), 'odom', 'camera')
         name = rng.choice(list(messages))
         if name.endswith('pose'):
             coordinate(messages[name].pose, rng)

@@ -8,7 +8,7 @@ import contextlib
 import shutil
 from pathlib import Path
 
-from ..workers import Workers
+from ..kernels.workers import Workers
 from .cpu import CpuRenderer
 from .cuda import CudaRenderer
 from .renderer import Renderer, RenderError

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..splats import PLANES
-from ..workers import PIECES, Workers
+from ..kernels.workers import PIECES, Workers
+from ..mapping.splats import PLANES
 from . import tiles
 from .blending import ROW, TILE
 from .projection import camera_numbers

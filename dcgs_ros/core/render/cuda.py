@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from ..splats import PLANES, SH_C0
+from ..mapping.splats import PLANES, SH_C0
 from .renderer import BLUR_PX2, NEAR_M, Gradients, RenderError, Rendering, View
 
 if TYPE_CHECKING:

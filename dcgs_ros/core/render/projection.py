@@ -13,7 +13,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from ..splats import PLANES, SH_C0
+from ..mapping.splats import PLANES, SH_C0
 from .blending import LOG2_ALPHA_MIN
 from .renderer import BLUR_PX2, MARGIN, NEAR_M, View
 from .simd import (

@@ -240,7 +240,7 @@ def _polynomial(x: Vector, coefficients: Sequence[float]) -> Vector:
 def sums(vectors: Sequence[Vector]) -> Vector:
     """Add up the lanes of each of at most LANES vectors: lane k has the sum of the k-th.
 
-    Pairs of vectors are folded into one, in four rounds: 15 additions for 16 sums.
+    PointFactors of vectors are folded into one, in four rounds: 15 additions for 16 sums.
     """
     builder = vectors[0].builder
     even = [2 * k for k in range(LANES)]

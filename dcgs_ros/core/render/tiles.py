@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from ..jit import strict_inlined, strict_kernel
+from ..kernels.jit import strict_inlined, strict_kernel
 from .blending import (
     BACKWARD,
     BACKWARD_SIZE,

@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from ...io.ros_images import MessageError
-from .images import array_of
+from .standard import array_of
 
 _TYPES = {
     'i4': PointField.INT32,

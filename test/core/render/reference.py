@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dcgs_ros.core.mapping.splats import SH_C0
 from dcgs_ros.core.render.renderer import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -20,7 +21,6 @@ from dcgs_ros.core.render.renderer import (
     T_MIN,
     View,
 )
-from dcgs_ros.core.splats import SH_C0
 
 REACH_SIGMAS = 3.33  # where an opacity of 1 has fallen to ALPHA_MIN
 

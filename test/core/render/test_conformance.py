@@ -15,9 +15,9 @@ from reference import doubtful, render  # type: ignore[import-not-found]
 from scenes import NAMES, Scene, scene  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.mapping.splats import SH_C0
 from dcgs_ros.core.render.renderer import ALPHA_MIN, BLUR_PX2, Renderer
-from dcgs_ros.core.splats import SH_C0
-from dcgs_ros.core.workers import Workers
 
 torch.set_num_threads(1)
 

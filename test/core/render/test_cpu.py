@@ -17,18 +17,11 @@ from scenes import scene  # type: ignore[import-not-found]
 from scipy.spatial.transform import Rotation
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.mapping.splats import PLANES, SH_C0
 from dcgs_ros.core.render import cpu
 from dcgs_ros.core.render.cpu import CpuRenderer
-from dcgs_ros.core.render.renderer import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    NEAR_M,
-    T_MIN,
-    RenderError,
-    View,
-)
-from dcgs_ros.core.splats import PLANES, SH_C0
-from dcgs_ros.core.workers import Workers
+from dcgs_ros.core.render.renderer import ALPHA_MAX, ALPHA_MIN, NEAR_M, T_MIN, RenderError, View
 
 torch.set_num_threads(1)
 

@@ -16,9 +16,9 @@ from reference import Gaussians, blend, project, render  # type: ignore[import-n
 from scenes import Scene, scene  # type: ignore[import-not-found]
 from torch import Tensor
 
+from dcgs_ros.core.mapping.splats import SH_C0
 from dcgs_ros.core.render.cuda import CudaRenderer
 from dcgs_ros.core.render.renderer import BLUR_PX2, NEAR_M, RenderError, View
-from dcgs_ros.core.splats import SH_C0
 
 torch.set_num_threads(1)
 

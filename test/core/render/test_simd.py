@@ -20,10 +20,10 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from scenes import scene  # type: ignore[import-not-found]
 
+from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.render import simd
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.simd import LANES, Vector
-from dcgs_ros.core.workers import Workers
 
 ROUNDING = 2e-7  # relative, float32: flags let LLVM contract and reorder
 EXP2 = {4: 4e-6, 6: 2e-7}  # relative, as documented

@@ -16,8 +16,7 @@ from sensor_msgs.msg import CameraInfo
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.io.ros_images import read_camera
-from dcgs_ros.nodes.messages.camera_info import write_camera
-from dcgs_ros.nodes.messages.headers import header
+from dcgs_ros.nodes.messages.standard import header, write_camera
 
 HEADER = header(5, 'camera')
 PIXELS = st.floats(1.0, 5000.0)

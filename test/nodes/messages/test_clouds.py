@@ -28,7 +28,7 @@ from dcgs_ros.nodes.messages.clouds import (
     unpack_rgb,
     write_cloud,
 )
-from dcgs_ros.nodes.messages.headers import header
+from dcgs_ros.nodes.messages.standard import header
 
 HEADER = header(7, 'odom')
 TYPES = {
@@ -158,19 +158,19 @@ def test_a_removed_gaussian_is_nan_but_for_its_id() -> None:
 
 
 @given(st.integers(0, 30), st.integers(0, 2**32))
-def test_colours_survive_packing(count: int, seed: int) -> None:
+def test_colors_survive_packing(count: int, seed: int) -> None:
     colors = np.random.default_rng(seed).integers(0, 256, (count, 3), dtype=np.uint8)
     packed = pack_rgb(colors)
     assert packed.dtype == np.float32 and packed.shape == (count,)
     np.testing.assert_array_equal(unpack_rgb(packed), colors)
 
 
-def test_a_packed_colour_has_the_bits_that_rviz_reads() -> None:
+def test_a_packed_color_has_the_bits_that_rviz_reads() -> None:
     packed = pack_rgb(np.array([[0x12, 0x34, 0x56]], np.uint8))
     assert struct.pack('>f', packed[0]).hex() == '00123456'
 
 
-def test_colours_are_unpacked_from_a_column_of_rows() -> None:
+def test_colors_are_unpacked_from_a_column_of_rows() -> None:
     colors = np.random.default_rng(0).integers(0, 256, (10, 3), dtype=np.uint8)
     rows = np.zeros(10, MAP_GAUSSIAN)
     rows['rgb'] = pack_rgb(colors)

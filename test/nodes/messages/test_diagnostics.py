@@ -11,8 +11,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.serialization import deserialize_message, serialize_message
 
-from dcgs_ros.nodes.messages.diagnostics import diagnostics, status
-from dcgs_ros.nodes.messages.headers import time_message
+from dcgs_ros.nodes.messages.standard import diagnostics, status, time_message
 
 
 def test_statuses_survive_the_wire() -> None:

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
 from dcgs_ros.io.ros_images import MessageError, stamp_ns
-from dcgs_ros.nodes.messages.headers import header, time_message
+from dcgs_ros.nodes.messages.standard import header, time_message
 
 EARLIEST_NS = -(2**31) * 10**9
 LATEST_NS = 2**31 * 10**9 - 1

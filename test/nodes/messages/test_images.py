@@ -15,8 +15,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from dcgs_ros.io.ros_images import MessageError, read_color, read_depth, stamp_ns
-from dcgs_ros.nodes.messages.headers import header
-from dcgs_ros.nodes.messages.images import array_of, write_color, write_depth, write_depth_mm
+from dcgs_ros.nodes.messages.standard import (
+    array_of,
+    header,
+    write_color,
+    write_depth,
+    write_depth_mm,
+)
 
 HEADER = header(1_700_000_000_123_456_789, 'camera')
 HALF_MM = 0.5e-3 * (1 + 1e-6)  # with the rounding of metres to float32
@@ -30,7 +35,7 @@ def over_the_wire(message: Image) -> Image:
 
 @settings(max_examples=50)
 @given(SHAPES, SEEDS, st.booleans())
-def test_colour_survives_exactly(shape: tuple[int, int], seed: int, grey: bool) -> None:
+def test_color_survives_exactly(shape: tuple[int, int], seed: int, grey: bool) -> None:
     full = shape if grey else (*shape, 3)
     color = np.random.default_rng(seed).integers(0, 256, full, dtype=np.uint8)
     message = over_the_wire(write_color(color, HEADER))
@@ -41,7 +46,7 @@ def test_colour_survives_exactly(shape: tuple[int, int], seed: int, grey: bool) 
     assert stamp_ns(message.header.stamp) == 1_700_000_000_123_456_789
 
 
-def test_colour_that_is_a_view_is_written_as_it_looks() -> None:
+def test_color_that_is_a_view_is_written_as_it_looks() -> None:
     color = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
     for view in (color[::2, 1:5], color[..., ::-1], color.transpose(1, 0, 2), color[..., 0]):
         np.testing.assert_array_equal(read_color(write_color(view, HEADER)), view)
@@ -50,7 +55,7 @@ def test_colour_that_is_a_view_is_written_as_it_looks() -> None:
 @pytest.mark.parametrize(
     ('shape', 'kind'), [((4, 4), np.float32), ((4, 4, 4), np.uint8), ((4,), np.uint8)]
 )
-def test_what_is_no_colour_is_refused(shape: tuple[int, ...], kind: type) -> None:
+def test_what_is_no_color_is_refused(shape: tuple[int, ...], kind: type) -> None:
     with pytest.raises(MessageError, match=rf'colour is {np.dtype(kind)} \(4,'):
         write_color(np.zeros(shape, kind), HEADER)
 

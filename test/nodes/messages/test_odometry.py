@@ -16,9 +16,9 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
 from dcgs_ros.core import se3
-from dcgs_ros.nodes.messages.headers import header
 from dcgs_ros.nodes.messages.odometry import Body, odometry_message
 from dcgs_ros.nodes.messages.poses import matrix
+from dcgs_ros.nodes.messages.standard import header
 
 ROUNDING = 1e-9
 STEP = 1e-6

@@ -19,7 +19,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from dcgs_ros.core import se3
 from dcgs_ros.io.ros_images import MessageError
-from dcgs_ros.nodes.messages.headers import header
 from dcgs_ros.nodes.messages.poses import (
     matrix,
     path,
@@ -27,6 +26,7 @@ from dcgs_ros.nodes.messages.poses import (
     pose_stamped,
     transform_stamped,
 )
+from dcgs_ros.nodes.messages.standard import header
 
 HEADER = header(3, 'odom')
 ROUNDING = 1e-12

@@ -1,0 +1,333 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The mapper: makes the Gaussians look like the keyframes, by Sigma_r, opacity and colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..camera import PinholeCamera
+from ..config.stages import Config
+from ..errors import DcgsError
+from ..frame import RgbdFrame
+from ..kernels.workers import Workers
+from ..render.renderer import Renderer, Rendering, View
+from . import exposure
+from .corrections import Corrections
+from .losses import Exposure, ImageLoss, Target
+from .seeding import Surface, discs, lacking
+from .splat_table import SplatTable
+from .splats import SH_C0, Splats
+from .views import Images, KeyframeView, Rectifier
+
+_COARSE = 2  # pixels of the image for one of a coarse step
+_EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """What the tracker hands over: an image, its pose, and the Gaussians it spawned."""
+
+    frame: RgbdFrame
+    T_world_cam: NDArray[np.float64]  # (4, 4) at the colour's instant
+    T_cam_cam_at_depth: NDArray[
+        np.float64
+    ]  # (4, 4) from the camera at the depth's instant to that
+    ids: NDArray[np.int64]  # (N,) of the Gaussians spawned
+    means: NDArray[np.float32]  # (N, 3) metres, world
+    normals: NDArray[np.float32]  # (N, 3) unit, world
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """What the mapper hands back: how the tracker's Gaussians changed, and which are gone."""
+
+    ids: NDArray[np.int64]  # (N,)
+    means: NDArray[np.float32]  # (N, 3) metres, world
+    normals: NDArray[np.float32]  # (N, 3) unit, world: axis of the smallest scale of Sigma_r
+    flatness: NDArray[np.float32]  # (N,) lambda3 / lambda2 of Sigma_r
+    removed: NDArray[np.int64]  # (R,)
+
+
+class MapperError(DcgsError):
+    """What the mapper was given, or asked for, cannot be."""
+
+
+class Mapper:
+    """Photometric optimisation of the map over a window of newest and replayed keyframes.
+
+    Gaussians that the tracker spawned have its ids; those that the mapper adds where an image
+    needs more have ids from -1 downwards, and are none of the tracker's business.
+    """
+
+    def __init__(
+        self, camera: PinholeCamera, config: Config, renderer: Renderer, workers: Workers
+    ) -> None:
+        """Start with an empty map."""
+        self.camera, self.config = camera, config
+        self.table = SplatTable()
+        self.views: list[KeyframeView] = []
+        self.steps = 0
+        self.poisoned = 0  # Gaussians dropped because a parameter was not finite
+        self._renderer, self._workers = renderer, workers
+        self._rectify = Rectifier(camera)
+        settings = config.mapping
+        self._losses = {
+            shrink: ImageLoss(
+                camera.width // shrink, camera.height // shrink, settings.ssim_weight,
+                settings.depth_weight, workers,
+            )
+            for shrink in (1, _COARSE)
+        }  # fmt: skip
+        self._random = np.random.default_rng(settings.seed)
+        self._round: list[KeyframeView] = []  # views still to be replayed in this round
+        self._next_own_id = -1
+        self._removed: list[NDArray[np.int64]] = []
+
+    def insert(self, keyframe: Keyframe) -> None:
+        """Take a keyframe in: its Gaussians, and others where its image still lacks some.
+
+        Raises `MapperError` for one that cannot be; the mapper is then as it was before.
+        """
+        self._check(keyframe)
+        images = self._rectify(keyframe.frame, keyframe.T_cam_cam_at_depth)
+        view = KeyframeView.of(
+            len(self.views), keyframe.frame.stamp_ns, keyframe.T_world_cam, images,
+            self.views[-1] if self.views else None,
+        )  # fmt: skip
+        self.views.append(view)
+        coarse = View.of(self.camera, view.T_world_cam, _COARSE)
+        rendering = self._renderer.render(self.table.planes, coarse)
+        target = view.target(self._rectify.valid, _COARSE, self._workers)
+        view.exposure = self._exposed(view, rendering, target)
+        self._center_exposures()
+        self._spawn(keyframe, view, images, rendering)
+        self._shrink_memory()
+
+    def _check(self, keyframe: Keyframe) -> None:
+        height, width = keyframe.frame.depth_m.shape
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise MapperError(
+                f'image is {width}x{height}, the camera {self.camera.width}x{self.camera.height}'
+            )
+        n = len(keyframe.ids)
+        if keyframe.means.shape != (n, 3) or keyframe.normals.shape != (n, 3):
+            raise MapperError(
+                f'{n} ids come with means {keyframe.means.shape} and normals '
+                f'{keyframe.normals.shape}'
+            )
+        different = len(np.unique(keyframe.ids))
+        if different != n:
+            raise MapperError(f'{n} Gaussians of a keyframe have only {different} different ids')
+        for name in ('T_world_cam', 'T_cam_cam_at_depth'):
+            if not np.all(np.isfinite(getattr(keyframe, name))):
+                raise MapperError(f'{name} of a keyframe is not finite')
+
+    def _spawn(
+        self, keyframe: Keyframe, view: KeyframeView, images: Images, rendering: Rendering
+    ) -> None:
+        """Add the tracker's Gaussians, and own ones where the map lacks any even so."""
+        config = self.config.mapping
+        keyframe = self._news(keyframe)
+        camera = View.of(self.camera, view.T_world_cam)
+        moved = view.T_world_cam @ se3.inverse(keyframe.T_world_cam)
+        measured = Surface(
+            (keyframe.means @ moved[:3, :3].T + moved[:3, 3]).astype(np.float32),
+            (keyframe.normals @ moved[:3, :3].T).astype(np.float32),
+            np.ones(len(keyframe.ids), np.bool_),
+        )
+        valid = self._rectify.valid
+        lacks = lacking(images, rendering, _COARSE, valid, measured, camera, config)
+        ids = self._next_own_id - np.arange(len(lacks.points), dtype=np.int64)
+        self._next_own_id -= len(ids)
+        spacings = self.config.keyframes.spawn_stride_px, config.spawn_stride_px
+        new = [
+            discs(surface, spacing, images, camera, view.exposure, config).planes
+            for surface, spacing in zip((measured, lacks), spacings, strict=True)
+        ]
+        room = slice(max(0, config.max_gaussians - len(self.table)))
+        planes = np.concatenate(new, axis=1)[:, room]
+        sigma_z = self._sigma_z(measured, camera)
+        reach_m = np.full(planes.shape[1], np.inf, np.float32)
+        reach_m[: len(sigma_z)] = config.reach_sigmas * sigma_z[room]
+        back = se3.inverse(moved)
+        own = lacks.points @ back[:3, :3].T + back[:3, 3]
+        tracked = np.concatenate([keyframe.means, own])[room].T.astype(np.float32)
+        ids = np.concatenate([keyframe.ids, ids])[room]
+        self.table.append(Splats(planes), ids, view.index, tracked, reach_m)
+
+    def _news(self, keyframe: Keyframe) -> Keyframe:
+        """Leave out the Gaussians that are here already, and, counted, those that are not finite.
+
+        A keyframe that is offered again may bring some along that came with another.
+        """
+        numbers = np.concatenate([keyframe.means, keyframe.normals], axis=1)
+        finite = np.isfinite(numbers).all(axis=1)
+        self.poisoned += int(np.count_nonzero(~finite))
+        self._removed.append(keyframe.ids[~finite])
+        keep = finite & ~np.isin(keyframe.ids, self.table.ids)
+        return replace(
+            keyframe, ids=keyframe.ids[keep], means=keyframe.means[keep],
+            normals=keyframe.normals[keep],
+        )  # fmt: skip
+
+    def _sigma_z(self, surface: Surface, camera: View) -> NDArray[np.float64]:
+        """(N,) noise of the depth that a surface was measured with, metres."""
+        R, t = camera.T_world_cam[:3, :3], camera.T_world_cam[:3, 3]
+        return np.asarray(self.config.sensor.sigma((surface.points - t) @ R[:, 2]))
+
+    def step(self, rate: float = 1.0, replay: bool = False) -> float:
+        """Take one optimisation step on one view; returns its loss.
+
+        `rate` scales the learning rates; with `replay` all views take turns at full resolution.
+        """
+        view, shrink = self._chosen(replay)
+        target = view.target(self._rectify.valid, shrink, self._workers)
+        camera = View.of(self.camera, view.T_world_cam, shrink)
+        rendering = self._renderer.render(self.table.planes, camera)
+        if shrink == 1 and view.visits % _EXPOSURE_INTERVAL == _EXPOSURE_INTERVAL - 1:
+            fit = self._exposed(view, rendering, target)
+            view.exposure = exposure.blended(view.exposure, fit, self.config.rates.exposure)
+        loss = self._losses[shrink]
+        behind = self._random.random(3, np.float32)  # else dark surfaces go transparent
+        by_image = loss.gradient(rendering.planes, target, view.exposure, behind)
+        gradients = self._renderer.backward(by_image)
+        self.table.step(gradients, self._rates(rate), self._workers)
+        if view.index > 0:  # the first one holds the map in place
+            view.turn(gradients.pose, self._pose_rates(rate))
+        view.visits += 1
+        self.steps += 1
+        if self.steps % self.config.mapping.prune_interval == 0:
+            self.prune()
+            self._anchor()
+            self._center_exposures()
+        return loss.value
+
+    def _exposed(self, view: KeyframeView, rendering: Rendering, target: Target) -> Exposure:
+        share = self.config.mapping.exposure_share
+        return exposure.fitted(rendering, target, view.exposure, share)
+
+    def _chosen(self, replay: bool) -> tuple[KeyframeView, int]:
+        if not self.views:
+            raise MapperError('there is no keyframe to optimise for yet')
+        config = self.config.mapping
+        active = [view for view in self.views if view.active]
+        if not replay and self._random.random() < config.newest_share:
+            chosen = min(reversed(active), key=lambda view: view.visits)
+        else:
+            if not self._round:
+                self._round = [active[k] for k in self._random.permutation(len(active))]
+            chosen = self._round.pop()
+        coarse = not replay and self._random.random() < config.coarse_share
+        return chosen, _COARSE if coarse else 1
+
+    def _rates(self, rate: float) -> NDArray[np.float32]:
+        r = self.config.rates
+        rates = [r.mean_m] * 3 + [r.log_scale] * 3 + [r.rotation] * 4 + [r.opacity]
+        return np.array(rates + [r.color / SH_C0] * 3, np.float32) * np.float32(rate)
+
+    def _pose_rates(self, rate: float) -> NDArray[np.float64]:
+        return rate * np.repeat([self.config.rates.pose_m, self.config.rates.pose_rad], 3)
+
+    def prune(self) -> None:
+        """Drop what is transparent, too large, without effect, or not finite.
+
+        One without effect has had its trial, or its host has and never saw it.
+        """
+        config, table = self.config.mapping, self.table
+        splats = table.splats
+        finite = np.isfinite(splats.planes).all(axis=0)
+        self.poisoned += int(np.count_nonzero(~finite))
+        with np.errstate(invalid='ignore', over='ignore'):
+            keep = finite & (1 / (1 + np.exp(-splats.opacity_logits)) > config.prune_opacity)
+            keep &= splats.log_scales.max(axis=0) < np.log(config.prune_scale_m)
+        hosts = np.array([view.visits for view in self.views], np.int64)
+        tried = np.maximum(table.visits, hosts[table.hosts]) >= config.trial_visits
+        keep &= ~tried | (table.weights > config.prune_weight)
+        if not keep.all():
+            self._removed.append(table.ids[~keep & (table.ids >= 0)])
+            table.keep(keep)
+
+    def update(self) -> MapUpdate:
+        """Tell the tracker what changed since the last time."""
+        columns = self.table.report()
+        finite = np.isfinite(self.table.planes[:, columns]).all(axis=0)
+        columns = columns[finite]
+        normals, flatness = self.table.splats.shape(columns)
+        means, normals = self._seen_by_tracker(columns, normals)
+        removed = np.concatenate([np.empty(0, np.int64), *self._removed])
+        self._removed.clear()
+        return MapUpdate(self.table.ids[columns], means, normals, flatness, removed)
+
+    def _seen_by_tracker(
+        self, columns: NDArray[np.int64], normals: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Means and normals (K, 3) in the tracker's world.
+
+        The poses of the views are refined here, not there: what goes back is how far a Gaussian
+        has come from where its host saw it.
+        """
+        table = self.table
+        turns = [v.T_tracked[:3, :3] @ v.T_world_cam[:3, :3].T for v in self.views]
+        R = np.array(turns).reshape(-1, 3, 3)[table.hosts[columns]]
+        moved = table.splats.means[:, columns] - table.anchors[:, columns]
+        means = table.measured[:, columns].T + np.einsum('nij,jn->ni', R, moved)
+        turned = np.einsum('nij,nj->ni', R, normals)
+        return means.astype(np.float32), turned.astype(np.float32)
+
+    def _anchor(self) -> None:
+        """Let the anchors follow the views that spawned them, and means keep in reach of them."""
+        there = np.array([v.T_world_cam @ se3.inverse(v.T_tracked) for v in self.views])
+        table = self.table
+        T = there[table.hosts]
+        table.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], table.measured) + T[:, :3, 3].T
+        moved = table.splats.means - table.anchors
+        far = np.linalg.norm(moved, axis=0)
+        out = np.flatnonzero(far > table.reach_m)
+        share = table.reach_m[out] / far[out]
+        table.splats.means[:, out] = table.anchors[:, out] + share * moved[:, out]
+
+    def _center_exposures(self) -> None:
+        """Make the mean exposure none at all, and give what it was to the map's colours.
+
+        What every view shows stays the same; without exposures the map is then right on average.
+        """
+        gain = np.mean([view.exposure.gain for view in self.views], axis=0)
+        offset = np.mean([view.exposure.offset for view in self.views], axis=0)
+        self.table.recolor(Exposure(gain, offset))
+        for view in self.views:
+            left = view.exposure.gain / gain
+            view.exposure = Exposure(left, view.exposure.offset - left * offset)
+
+    def _shrink_memory(self) -> None:
+        """Compress the oldest views beyond the budget, then do without every second of them."""
+        budget = 1e6 * self.config.mapping.image_memory_mb
+        held = sum(view.bytes for view in self.views)
+        for view in self.views:
+            if held <= budget:
+                return
+            held -= view.bytes
+            view.compress()
+            held += view.bytes
+        if held > budget:
+            for view in [view for view in self.views[:-1] if view.active][1::2]:
+                view.retire()
+            self._round.clear()
+
+    def render(self, T_world_cam: NDArray[np.float64]) -> Rendering:
+        """Show the map from a pose in the mapper's world."""
+        return self._renderer.render(self.table.planes, View.of(self.camera, T_world_cam))
+
+    def corrections(self) -> Corrections:
+        """Give what was refined of the views, to be carried over to the frames between."""
+        views = sorted(self.views, key=lambda view: view.stamp_ns)  # some may have come late
+        return Corrections(
+            np.array([view.stamp_ns for view in views], np.int64),
+            np.array([view.T_tracked for view in views]),
+            np.array([view.T_world_cam for view in views]),
+            [view.exposure for view in views],
+        )

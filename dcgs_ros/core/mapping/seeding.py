@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""New Gaussians: where the map lacks them, and what they look like to begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..config.stages import MappingConfig
+from ..render.renderer import Rendering, View
+from .losses import Exposure
+from .splats import PLANES, SH_C0, Splats
+from .views import Images
+
+_MIN_COSINE = 0.3  # discs seen at a grazing angle are not made longer than for this
+_NEIGHBOUR_PX = 4  # of the differences a normal is made from
+_EDGE = 0.1  # of the depth: a larger difference is no surface
+_FILL_SHRINK = 4  # holes are filled at a quarter of the resolution
+_NEARER, _NEARER_M = 0.93, 0.02  # measured depth that the map should not shine through
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Points with normals, in the world."""
+
+    points: NDArray[np.float32]  # (N, 3) metres
+    normals: NDArray[np.float32]  # (N, 3) unit
+    measured: NDArray[np.bool_]  # (N,) the depth is the sensor's, not a neighbour's
+
+
+def discs(
+    surface: Surface,
+    spacing_px: float,
+    images: Images,
+    view: View,
+    exposure: Exposure,
+    config: MappingConfig,
+) -> Splats:
+    """Flat Gaussians on a surface, wide enough for neighbours `spacing_px` apart to meet.
+
+    Their third axis is the normal; their colour is that of the image around them.
+    """
+    pixels, z = _pixels(surface.points, view)
+    towards = view.T_world_cam[:3, 3] - surface.points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.abs(np.einsum('ij,ij->i', surface.normals, towards)).clip(_MIN_COSINE, 1)
+    focal = 0.5 * (view.fx + view.fy)
+    width = config.spawn_scale * spacing_px * z / focal / np.sqrt(cosine)
+    planes = np.zeros((len(PLANES), len(z)), np.float32)
+    planes[0:3] = surface.points.T
+    planes[3:5] = np.log(width)
+    planes[5] = np.log(config.spawn_flatness * width)
+    planes[6:10] = _turning_z_to(surface.normals)
+    opacity = np.where(surface.measured, config.spawn_opacity, config.fill_opacity)
+    planes[10] = np.log(opacity / (1 - opacity))
+    seen = _colors_at(images.color, pixels, spacing_px)
+    planes[11:14] = ((seen - exposure.offset) / exposure.gain - 0.5).T / SH_C0
+    return Splats(planes)
+
+
+def lacking(
+    images: Images,
+    rendering: Rendering,
+    shrink: int,
+    valid: NDArray[np.bool_],
+    spawned: Surface,
+    view: View,
+    config: MappingConfig,
+) -> Surface:
+    """Surface at those points of a grid where the map shows nothing, or something far behind.
+
+    The rendering has one pixel for each shrink x shrink. Cells of the grid that a spawned point
+    lies in lack nothing. Depth holes are filled from the nearest pixel that has depth; no depth at
+    all fills none.
+    """
+    stride = config.spawn_stride_px
+    depth_m = images.depth_m
+    filled = _filled(depth_m)
+    height, width = (size // stride * stride for size in depth_m.shape)
+    v, u = (
+        k.ravel() for k in np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
+    )
+    rows, columns = rendering.depth.shape  # of an odd size one pixel is beyond them
+    at = np.minimum(v // shrink, rows - 1), np.minimum(u // shrink, columns - 1)
+    T = rendering.transmittance[at]
+    shown_m = rendering.depth[at] / np.maximum(1 - T, 1e-3)
+    measured = depth_m[v, u] > 0
+    nearer = measured & (depth_m[v, u] < _NEARER * shown_m - _NEARER_M)
+    lacks = ((T > config.spawn_transmittance) | nearer) & valid[v, u] & (filled[v, u] > 0)
+    taken = np.zeros((height // stride, width // stride), np.bool_)
+    cells = _pixels(spawned.points, view)[0].astype(int) // stride
+    inside = np.all((cells >= 0) & (cells < taken.shape[::-1]), axis=1)
+    taken[cells[inside, 1], cells[inside, 0]] = True
+    lacks &= ~taken.ravel()
+    u, v, measured = u[lacks], v[lacks], measured[lacks]
+    points, normals = _surface_at(filled, measured, u, v, view)
+    R, t = view.T_world_cam[:3, :3], view.T_world_cam[:3, 3]
+    return Surface(
+        (points @ R.T + t).astype(np.float32), (normals @ R.T).astype(np.float32), measured
+    )
+
+
+def _pixels(points: NDArray, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels (N, 2) and depths (N,) of points in the world."""
+    T_cam_world = se3.inverse(view.T_world_cam)
+    p_cam = points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+    z = np.maximum(p_cam[:, 2], 1e-3)
+    return p_cam[:, :2] / z[:, None] * (view.fx, view.fy) + (view.cx, view.cy), z
+
+
+def _filled(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Depth with holes filled from the nearest measurement; zeros where there is none at all."""
+    if not (depth_m <= 0).any():
+        return depth_m
+    block = np.ones((_FILL_SHRINK, _FILL_SHRINK), np.uint8)
+    farthest = cv2.dilate(depth_m, block, anchor=(0, 0))  # of the block that begins at a pixel
+    small = np.asarray(farthest)[::_FILL_SHRINK, ::_FILL_SHRINK]
+    holes = (small <= 0).astype(np.uint8)
+    if holes.all():
+        return depth_m
+    _, labels = cv2.distanceTransformWithLabels(
+        holes, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    depth_of_label = np.zeros(int(labels.max()) + 1, np.float32)
+    depth_of_label[labels[holes == 0]] = small[holes == 0]
+    nearest = depth_of_label[labels]
+    v, u = (np.arange(size) // _FILL_SHRINK for size in depth_m.shape)
+    return np.where(depth_m > 0, depth_m, nearest[v[:, None], u])
+
+
+def _surface_at(
+    depth_m: NDArray[np.float32], measured: NDArray[np.bool_], u: NDArray, v: NDArray, view: View
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and normals in the camera frame; a filled point, or one at an edge, faces it."""
+    height, width = depth_m.shape
+
+    def point(u: NDArray, v: NDArray) -> NDArray[np.float64]:
+        z = depth_m[v, u].astype(np.float64)
+        return np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], axis=1)
+
+    step = _NEIGHBOUR_PX
+    along_x = point(np.minimum(u + step, width - 1), v) - point(np.maximum(u - step, 0), v)
+    along_y = point(u, np.minimum(v + step, height - 1)) - point(u, np.maximum(v - step, 0))
+    points = point(u, v)
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    normals = np.cross(along_y, along_x)
+    norms = np.linalg.norm(normals, axis=1, keepdims=True)
+    edge = np.maximum(np.abs(along_x[:, 2]), np.abs(along_y[:, 2])) > _EDGE * points[:, 2]
+    bad = edge | ~measured | (norms[:, 0] < 1e-12)
+    return points, np.where(bad[:, None], -rays, normals / np.maximum(norms, 1e-12))
+
+
+def _turning_z_to(normals: NDArray) -> NDArray[np.float64]:
+    """(4, N) quaternions wxyz of the shortest turns of (0, 0, 1) to the unit normals (N, 3)."""
+    x, y, z = normals.astype(np.float64).T
+    quats = np.stack([1 + z, -y, x, np.zeros_like(x)])
+    quats[:, z < -1 + 1e-9] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]  # half a turn about x
+    return np.asarray(quats / np.linalg.norm(quats, axis=0))
+
+
+def _colors_at(
+    color: NDArray[np.uint8], pixels: NDArray, spacing_px: float
+) -> NDArray[np.float32]:
+    """Colours (N, 3) from 0 to 1, each the mean of the pixels that a Gaussian stands for."""
+    side = max(1, round(spacing_px) | 1)
+    mean = np.asarray(cv2.blur(color, (side, side)))
+    height, width = color.shape[:2]
+    u = np.round(pixels[:, 0]).astype(int).clip(0, width - 1)
+    v = np.round(pixels[:, 1]).astype(int).clip(0, height - 1)
+    return mean[v, u].astype(np.float32) / np.float32(255.0)

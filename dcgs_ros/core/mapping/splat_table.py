@@ -1,0 +1,220 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The mapper's Gaussians with what it remembers of each, and selective Adam on them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.jit import fast_kernel
+from ..kernels.workers import Workers
+from ..render.renderer import Gradients
+from ..render.simd import LANES
+from .losses import Exposure
+from .splats import PLANES, SH_C0, Splats
+
+_BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-15
+_STRETCH = 64  # Gaussians handled at a time
+_TABLE = 8192  # visits after which a bias correction is 1 to the last bit
+_NOBODY = np.iinfo(np.int64).min  # id of the columns that only fill up the last group
+_FILLS = {'ids': _NOBODY, 'planes': -100.0, 'reach_m': np.inf}  # transparent, and left alone
+_STEEPEST = 1e15  # a gradient whose square is still a float
+
+
+class SplatTable:
+    """Gaussians in columns, in the order they came; removing some moves up the others.
+
+    There are always whole groups of LANES columns, as the renderer takes them: those behind the
+    last Gaussian are transparent.
+    """
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._count = 0
+        self._columns: dict[str, NDArray] = {
+            'planes': np.empty((len(PLANES), 0), np.float32),
+            'first_moments': np.empty((len(PLANES), 0), np.float32),
+            'second_moments': np.empty((len(PLANES), 0), np.float32),
+            'visits': np.empty(0, np.int32),
+            'weights': np.empty(0, np.float32),
+            'ids': np.empty(0, np.int64),
+            'hosts': np.empty(0, np.int32),
+            'measured': np.empty((3, 0), np.float32),
+            'anchors': np.empty((3, 0), np.float32),
+            'reach_m': np.empty(0, np.float32),
+            'reported': np.empty(0, np.int32),
+        }
+        steps = np.arange(1, _TABLE + 1)
+        self._unbias_1 = (1.0 / (1.0 - _BETA_1**steps)).astype(np.float32)
+        self._unbias_2 = (1.0 / (1.0 - _BETA_2**steps)).astype(np.float32)
+
+    def __len__(self) -> int:
+        """Count the Gaussians."""
+        return self._count
+
+    @property
+    def planes(self) -> NDArray[np.float32]:
+        """(14, M) parameters, M >= N: the last ones are padding."""
+        return self._columns['planes']
+
+    @property
+    def splats(self) -> Splats:
+        """The N Gaussians, a view."""
+        return Splats(self.planes[:, : self._count])
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """(N,) identities; negative ones are the mapper's own."""
+        return self._columns['ids'][: self._count]
+
+    @property
+    def hosts(self) -> NDArray[np.int32]:
+        """(N,) keyframe that each came with."""
+        return self._columns['hosts'][: self._count]
+
+    @property
+    def measured(self) -> NDArray[np.float32]:
+        """(3, N) means as they were spawned, metres, the tracker's world."""
+        return self._columns['measured'][:, : self._count]
+
+    @property
+    def anchors(self) -> NDArray[np.float32]:
+        """(3, N) the same in the mapper's world; to be written to when views move."""
+        return self._columns['anchors'][:, : self._count]
+
+    @property
+    def reach_m(self) -> NDArray[np.float32]:
+        """(N,) how far each mean may be from its anchor."""
+        return self._columns['reach_m'][: self._count]
+
+    @property
+    def visits(self) -> NDArray[np.int32]:
+        """(N,) optimisation steps that each took part in."""
+        return self._columns['visits'][: self._count]
+
+    @property
+    def weights(self) -> NDArray[np.float32]:
+        """(N,) largest sum of blending weights that each had in an image, pixels."""
+        return self._columns['weights'][: self._count]
+
+    def report(self) -> NDArray[np.int64]:
+        """Columns (K,) of the tracker's Gaussians that moved since they were reported last."""
+        reported = self._columns['reported'][: self._count]
+        moved = (self.ids >= 0) & (self.visits != reported)
+        reported[moved] = self.visits[moved]
+        return np.flatnonzero(moved)
+
+    def recolor(self, exposure: Exposure) -> None:
+        """Give an exposure that all views have in common to the colours."""
+        sh_dc = self.splats.sh_dc
+        sh_dc *= exposure.gain[:, None]
+        sh_dc += ((0.5 * (exposure.gain - 1) + exposure.offset) / np.float32(SH_C0))[:, None]
+
+    def append(
+        self,
+        splats: Splats,
+        ids: NDArray[np.int64],  # (N,)
+        host: int,
+        measured: NDArray[np.float32],  # (3, N) means in the tracker's world
+        reach_m: NDArray[np.float32],  # (N,) how far a mean may get from there
+    ) -> None:
+        """Add Gaussians."""
+        new: dict[str, NDArray] = {
+            'planes': splats.planes,
+            'first_moments': np.zeros_like(splats.planes),
+            'second_moments': np.zeros_like(splats.planes),
+            'visits': np.zeros(len(splats), np.int32),
+            'weights': np.zeros(len(splats), np.float32),
+            'ids': ids,
+            'hosts': np.full(len(splats), host, np.int32),
+            'measured': measured,
+            'anchors': splats.means,
+            'reach_m': reach_m,
+            'reported': np.zeros(len(splats), np.int32),
+        }
+        old = {name: column[..., : self._count] for name, column in self._columns.items()}
+        self._replace(self._count + len(ids), old, new)
+
+    def keep(self, mask: NDArray[np.bool_]) -> None:
+        """Drop the Gaussians outside the mask (N,)."""
+        kept = np.flatnonzero(mask)
+        self._replace(len(kept), {name: c[..., kept] for name, c in self._columns.items()})
+
+    def _replace(self, count: int, *parts: dict[str, NDArray]) -> None:
+        """Take other columns, `count` in all of the parts, filled up to whole groups."""
+        self._count = count
+        for name, column in self._columns.items():
+            shape = (*column.shape[:-1], -count % LANES)
+            padding = np.full(shape, _FILLS.get(name, 0), column.dtype)
+            pieces = [*(part[name] for part in parts), padding]
+            self._columns[name] = np.concatenate(pieces, axis=-1)
+
+    def step(
+        self,
+        gradients: Gradients,  # by all columns
+        rates: NDArray[np.float32],  # (14,) of PLANES
+        workers: Workers,
+    ) -> None:
+        """Move the Gaussians that have a gradient by one step of Adam (Kingma and Ba 2015).
+
+        The others keep their moments too; bias correction counts each one's own visits. A mean
+        that would leave its reach stays at the edge of it.
+        """
+        c = self._columns
+        workers.run(
+            _adam, c['planes'], c['first_moments'], c['second_moments'], c['visits'],
+            c['weights'], gradients.planes, gradients.touched, gradients.weights, rates,
+            self._unbias_1, self._unbias_2, c['anchors'], c['reach_m'],
+        )  # fmt: skip
+
+
+@fast_kernel
+def _adam(
+    piece, pieces, planes, first, second, visits, best_weights, gradients, touched, weights, rates,
+    unbias_1, unbias_2, anchors, reach_m,
+):  # fmt: skip
+    groups = planes.shape[1] // LANES
+    start_of_piece = piece * groups // pieces * LANES
+    end_of_piece = (piece + 1) * groups // pieces * LANES
+    scale_1, scale_2 = np.empty(_STRETCH, np.float32), np.empty(_STRETCH, np.float32)
+    for start in range(start_of_piece, end_of_piece, _STRETCH):
+        end = min(start + _STRETCH, end_of_piece)
+        if not touched[start:end].any():
+            continue
+        for i in range(start, end):
+            if touched[i]:
+                visits[i] += 1
+                best_weights[i] = max(best_weights[i], weights[i])
+            visit = min(max(visits[i], 1), _TABLE) - 1
+            scale_1[i - start], scale_2[i - start] = unbias_1[visit], unbias_2[visit]
+        for k in range(planes.shape[0]):
+            _move(
+                planes[k, start:end], first[k, start:end], second[k, start:end],
+                gradients[k, start:end], touched[start:end], scale_1, scale_2, rates[k],
+            )  # fmt: skip
+        for i in range(start, end):
+            x, y = planes[0, i] - anchors[0, i], planes[1, i] - anchors[1, i]
+            z = planes[2, i] - anchors[2, i]
+            far = x * x + y * y + z * z
+            if touched[i] and far > reach_m[i] * reach_m[i]:
+                share = reach_m[i] / np.sqrt(far)
+                planes[0, i] = anchors[0, i] + share * x
+                planes[1, i] = anchors[1, i] + share * y
+                planes[2, i] = anchors[2, i] + share * z
+
+
+@fast_kernel
+def _move(values, first, second, gradients, touched, scale_1, scale_2, rate):
+    """Move a stretch of one plane: rows that LLVM sees to be apart, so that it vectorises."""
+    steepest, zero = np.float32(_STEEPEST), np.float32(0.0)
+    for x in range(values.shape[0]):
+        g = min(max(gradients[x], -steepest), steepest)
+        g = g if touched[x] else zero  # where it may be anything
+        share_1 = np.float32(1.0 - _BETA_1) if touched[x] else zero
+        share_2 = np.float32(1.0 - _BETA_2) if touched[x] else zero
+        m = first[x] + share_1 * (g - first[x])
+        v = second[x] + share_2 * (g * g - second[x])
+        first[x], second[x] = m, v
+        step = rate * scale_1[x] * m / (np.sqrt(v * scale_2[x]) + np.float32(_EPSILON))
+        values[x] -= step if touched[x] else zero

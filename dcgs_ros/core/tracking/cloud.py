@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A depth image as points a_i with normals n_i and covariances D_i (paper, depth residual)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from ..config.stages import CloudConfig
+from ..kernels.jit import kernel, parallel_kernel
+from ..kernels.small_matrix import eigenvalues_symmetric, smallest_eigenvector
+from ..sensor import SensorNoise
+
+_MIN_SCATTER = 5  # neighbours below which a scatter says nothing
+_SLOPE = 4.0  # depth change over the window that is still one surface, in window widths
+_ROUGH_SIGMAS = 8.0  # ... plus this many sigma_z of noise
+_SAMPLE, _FIT = 1, 2  # cell holds nothing / a depth / a depth with a normal
+
+
+@dataclass(frozen=True)
+class FrameCloud:
+    """Sampled points of one depth image, in the camera frame at the depth's instant."""
+
+    points: NDArray[np.float32]  # (N, 3) metres
+    normals: NDArray[np.float32]  # (N, 3) unit, towards the camera
+    flatness: NDArray[np.float32]  # (N,) lambda3 / lambda2 of the scatter Q_i
+    samples: int  # cells with usable depth, normal or not
+
+    def __len__(self) -> int:
+        """Count the points."""
+        return len(self.points)
+
+    def __getitem__(self, keep: NDArray) -> FrameCloud:
+        """Select a subset; `samples` stays that of the whole image."""
+        return FrameCloud(self.points[keep], self.normals[keep], self.flatness[keep], self.samples)
+
+    def moved(self, T: NDArray[np.float64]) -> FrameCloud:
+        """Points and normals transformed by T: to the colour's instant, for one."""
+        R = T[:3, :3].astype(np.float32)
+        points = self.points @ R.T + T[:3, 3].astype(np.float32)
+        normals = np.ascontiguousarray(self.normals @ R.T)
+        return FrameCloud(points, normals, self.flatness, self.samples)
+
+
+def sample_cloud(
+    depth_m: NDArray[np.float32],  # (H, W)
+    rays: NDArray[np.float32],  # (H, W, 2) undistorted x/z, y/z
+    config: CloudConfig,
+    sensor: SensorNoise,
+    stride_px: int,
+    seed: int,
+) -> FrameCloud:
+    """One pixel of each stride x stride cell, at a place that `seed` jitters.
+
+    n_i is the smallest eigenvector of the scatter Q_i of the neighbours on the same surface. Cells
+    at depth edges, with too few neighbours, or seen at a grazing angle are left out.
+    """
+    height, width = depth_m.shape
+    cells = (height // stride_px) * (width // stride_px)
+    points = np.empty((cells, 3), np.float32)
+    normals = np.empty((cells, 3), np.float32)
+    flatness = np.empty(cells, np.float32)
+    status = np.zeros(cells, np.uint8)
+    _sample(
+        depth_m, rays, stride_px, config.dilation_px, config.half_window, config.min_neighbours,
+        config.min_view_cosine, sensor.a_m, sensor.b_per_m, sensor.depth_min_m,
+        sensor.depth_max_m, seed, points, normals, flatness, status,
+    )  # fmt: skip
+    keep = np.flatnonzero(status == _FIT)
+    return FrameCloud(points[keep], normals[keep], flatness[keep], int(np.count_nonzero(status)))
+
+
+def measurement_covariances(
+    points: NDArray[np.float32],  # (N, 3) metres, camera
+    normals: NDArray[np.float32],  # (N, 3) unit, camera
+    sensor: SensorNoise,
+    footprint: float,
+    radius_m: float,
+) -> NDArray[np.float32]:
+    """D_i = S(v_i, |a_i|; p_d) + r^2 (I - n_i n_i^T), (N, 6) xx xy xz yy yz zz, square metres.
+
+    `footprint` is p_d / f. With r = 0 it is S alone.
+    """
+    out = np.empty((len(points), 6), np.float32)
+    _covariances(points, normals, sensor.a_m, sensor.b_per_m, footprint, radius_m**2, out)
+    return out
+
+
+@parallel_kernel
+def _sample(
+    depth, rays, stride, dilation, half, min_share, min_cosine, noise_a, noise_b, z_min, z_max,
+    seed, points, normals, flatness, status,
+):  # fmt: skip
+    height, width = depth.shape
+    cells_y, cells_x = height // stride, width // stride
+    # Every second neighbour, as on a chessboard: the same span at half the price.
+    needed = max(_MIN_SCATTER, min_share * ((2 * half + 1) ** 2 // 2 + 1))
+    for cell_y in prange(cells_y):
+        for cell_x in range(cells_x):
+            i = cell_y * cells_x + cell_x
+            jitter = (i * 1103515245 + 12345 + seed * 7919) & 0x7FFFFFFF
+            y = cell_y * stride + (jitter >> 8) % stride
+            x = cell_x * stride + (jitter >> 16) % stride
+            z = depth[y, x]
+            if not (z >= z_min and z <= z_max):
+                continue
+            status[i] = _SAMPLE
+            ax, ay = rays[y, x, 0] * z, rays[y, x, 1] * z
+            pixel = rays[y, min(x + 1, width - 1), 0] - rays[y, max(x - 1, 0), 0]
+            surface = _SLOPE * dilation * half * 0.5 * pixel * z
+            surface += _ROUGH_SIGMAS * (noise_a + noise_b * z * z)
+            n = 0
+            sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+            for v in range(-half, half + 1):
+                py = y + v * dilation
+                if py < 0 or py >= height:
+                    continue
+                for u in range(-half + (half + v) % 2, half + 1, 2):
+                    px = x + u * dilation
+                    if px < 0 or px >= width:
+                        continue
+                    q = depth[py, px]
+                    dz = q - z
+                    if not (q > 0.0 and abs(dz) <= surface):
+                        continue
+                    dx = rays[py, px, 0] * q - ax
+                    dy = rays[py, px, 1] * q - ay
+                    n += 1
+                    sx += dx
+                    sy += dy
+                    sz += dz
+                    xx += dx * dx
+                    xy += dx * dy
+                    xz += dx * dz
+                    yy += dy * dy
+                    yz += dy * dz
+                    zz += dz * dz
+            if n < needed:
+                continue
+            m = 1.0 / n
+            sx, sy, sz = sx * m, sy * m, sz * m
+            xx, xy, xz = xx * m - sx * sx, xy * m - sx * sy, xz * m - sx * sz
+            yy, yz, zz = yy * m - sy * sy, yz * m - sy * sz, zz * m - sz * sz
+            _, middle, smallest = eigenvalues_symmetric(xx, xy, xz, yy, yz, zz)
+            nx, ny, nz = smallest_eigenvector(xx, xy, xz, yy, yz, zz, smallest)
+            cosine = (nx * ax + ny * ay + nz * z) / math.sqrt(ax * ax + ay * ay + z * z)
+            if not abs(cosine) >= min_cosine:
+                continue
+            sign = -1.0 if cosine > 0.0 else 1.0
+            points[i, 0], points[i, 1], points[i, 2] = ax, ay, z
+            normals[i, 0], normals[i, 1], normals[i, 2] = sign * nx, sign * ny, sign * nz
+            flatness[i] = max(smallest, 0.0) / max(middle, 1e-12)
+            status[i] = _FIT
+
+
+@kernel
+def _covariances(points, normals, noise_a, noise_b, footprint, radius2, out):
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        range2 = x * x + y * y + z * z
+        perpendicular = footprint * footprint * range2
+        along = ((noise_a + noise_b * range2) ** 2 - perpendicular) / range2
+        iso = perpendicular + radius2
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        out[i, 0] = iso + along * x * x - radius2 * nx * nx
+        out[i, 1] = along * x * y - radius2 * nx * ny
+        out[i, 2] = along * x * z - radius2 * nx * nz
+        out[i, 3] = iso + along * y * y - radius2 * ny * ny
+        out[i, 4] = along * y * z - radius2 * ny * nz
+        out[i, 5] = iso + along * z * z - radius2 * nz * nz

@@ -1,0 +1,267 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Point pairs with covariances, and their normal equations on SE(3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..kernels.jit import kernel
+from ..kernels.small_matrix import inverse_symmetric
+from ..sensor import SensorNoise
+
+
+@dataclass(frozen=True)
+class Targets:
+    """World points with transversely isotropic covariances: perp (I - u u^T) + along u u^T."""
+
+    points: NDArray[np.float32]  # (N, 3) metres, world
+    axes: NDArray[np.float32]  # (N, 3) unit u, world
+    perp: NDArray[np.float32]  # (N,) variance across u; negative: no pair
+    along: NDArray[np.float32]  # (N,) variance along u
+
+    def __getitem__(self, keep: NDArray) -> Targets:
+        """Select a subset."""
+        return Targets(self.points[keep], self.axes[keep], self.perp[keep], self.along[keep])
+
+    @property
+    def covariances(self) -> NDArray[np.float64]:
+        """(N, 3, 3) square metres, world."""
+        outer = self.axes[:, :, None] * self.axes[:, None, :]
+        perp, along = self.perp[:, None, None], self.along[:, None, None]
+        return np.asarray(perp * np.eye(3) + (along - perp) * outer)
+
+
+def observed_from(
+    points: NDArray[np.float32], viewpoints: NDArray, sensor: SensorNoise, anchor: float
+) -> Targets:
+    """Points (N, 3) with Sigma_t = S(u, z; p) seen from their viewpoints; `anchor` is p / f."""
+    rays = points - viewpoints
+    ranges = np.linalg.norm(rays, axis=1)
+    return Targets(
+        points,
+        (rays / ranges[:, None]).astype(np.float32),
+        np.square(anchor * ranges).astype(np.float32),
+        np.square(sensor.sigma(ranges)).astype(np.float32),
+    )
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Gauss-Newton system of E(T exp(xi)) ~ xi^T H xi - 2 g^T xi + cost, camera frame."""
+
+    H: NDArray[np.floating]  # (6, 6)
+    g: NDArray[np.floating]  # (6,)
+    cost: float
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Join two terms of the cost."""
+        return NormalEquations(self.H + other.H, self.g + other.g, self.cost + other.cost)
+
+    def limited(self, Q: NDArray[np.float64]) -> NormalEquations:
+        """Marginalise a common motion of all the points, of covariance Q (6, 6), out of the term.
+
+        However many points agree, what they say of the pose is no better than Q.
+        """
+        M = np.eye(6) + self.H @ Q
+        H, g = np.linalg.solve(M, self.H), np.linalg.solve(M, self.g)
+        return NormalEquations(0.5 * (H + H.T), g, self.cost - float(self.g @ Q @ g))
+
+    def step(self, damping: float) -> NDArray[np.float64]:
+        """Solve (H + damping diag(H)) xi = g, Levenberg-Marquardt's scaling by Marquardt."""
+        diagonal = np.diag(self.H)
+        xi: NDArray[np.float64] = np.linalg.solve(
+            self.H + np.diag(damping * diagonal + 1e-9), self.g
+        )
+        return xi
+
+
+class Factor(Protocol):
+    """One term of the cost."""
+
+    def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
+        """Linearise at a pose."""
+        ...
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """A pose known beforehand, with independent errors in its own frame."""
+
+    T_world_cam: NDArray[np.float64]
+    sigma_m: float
+    sigma_rad: float
+
+    def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
+        """Residual log(T^-1 T_prior); its Jacobian is the identity to first order."""
+        residual = se3.log(se3.inverse(T_world_cam) @ self.T_world_cam)
+        information = np.repeat([self.sigma_m**-2, self.sigma_rad**-2], 3)
+        g = information * residual
+        return NormalEquations(np.diag(information), g, float(residual @ g))
+
+
+@dataclass(frozen=True)
+class PointFactors:
+    """Measured points a_i with covariances D_i in the camera frame, each with its target.
+
+    The residual, in the camera frame, is e_i = R^T (mu_i - t) - a_i with
+    Omega_i = R^T Sigma_i R + D_i: the paper's d_i and Omega_i turned by R^T, which leaves the cost
+    as it is and D_i constant while the pose moves.
+    """
+
+    points: NDArray[np.float32]  # (N, 3) metres, camera
+    covariances: NDArray[np.float32]  # (N, 6) xx xy xz yy yz zz, square metres, camera
+    targets: Targets
+    normals: NDArray[np.float32] | None = None  # (N, 3) n_i of depth pairs, unit, camera
+    huber: float = math.inf  # delta on sqrt(chi2)
+    weight: float = 1.0
+    Q: NDArray[np.float64] | None = None  # (6, 6) covariance of a motion common to all points
+
+    def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
+        """Sum of J^T Omega^-1 J and J^T Omega^-1 e with J = [I, -[a]x], Huber reweighted."""
+        equations = self._summed(T_world_cam)[0]
+        return equations if self.Q is None else equations.limited(self.Q)
+
+    def chi2(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Squared Mahalanobis distances e^T Omega^-1 e (N,); NaN where there is no pair."""
+        return self._summed(T_world_cam)[1]
+
+    def across_rays(self) -> PointFactors:
+        """Pairs that only hold across the ray to each point: what the image alone measured.
+
+        The depth along it, taken from the depth image, gets a variance of 1 m^2.
+        """
+        v = self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
+        x, y, z = v.T
+        along = np.column_stack([x * x, x * y, x * z, y * y, y * z, z * z])
+        return replace(self, covariances=self.covariances + along)
+
+    def _summed(self, T: NDArray[np.float64]) -> tuple[NormalEquations, NDArray[np.float64]]:
+        sums = np.zeros((7, 7))
+        chi2 = np.empty(len(self.points))
+        t = self.targets
+        _accumulate(
+            self.points, self.covariances, t.points, t.axes, t.perp, t.along, T, self.huber, sums,
+            chi2,
+        )  # fmt: skip
+        return _unpacked(sums, self.weight), chi2
+
+    def along_normals(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
+        """Linearise the components along the normals n_i alone: point to plane.
+
+        They are what remains when the association radius r grows without bound, so none of the
+        tangential information in them stems from r.
+        """
+        sums = np.zeros((7, 7))
+        t = self.targets
+        _accumulate_along(
+            self.points, self.covariances, self.normals, t.points, t.axes, t.perp, t.along,
+            T_world_cam, sums,
+        )  # fmt: skip
+        return _unpacked(sums, self.weight)
+
+
+def _unpacked(sums: NDArray[np.float64], weight: float) -> NormalEquations:
+    upper = weight * np.triu(sums)
+    full = upper + np.triu(upper, 1).T
+    return NormalEquations(full[:6, :6], full[:6, 6], float(full[6, 6]))
+
+
+@kernel
+def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total, chi2):
+    """Upper triangle of [J e]^T Omega^-1 [J e] into `total` (7, 7).
+
+    One thread: the work is less than waking a second one costs.
+    """
+    r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
+    r10, r11, r12 = T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22 = T[2, 0], T[2, 1], T[2, 2]
+    J = np.zeros((3, 7))
+    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
+    M = np.empty((3, 7))
+    for i in range(points.shape[0]):
+        if perp[i] < 0.0:
+            chi2[i] = np.nan
+            continue
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        dx, dy, dz = targets[i, 0] - T[0, 3], targets[i, 1] - T[1, 3], targets[i, 2] - T[2, 3]
+        J[0, 4], J[0, 5] = z, -y
+        J[1, 3], J[1, 5] = -z, x
+        J[2, 3], J[2, 4] = y, -x
+        J[0, 6] = e0 = r00 * dx + r10 * dy + r20 * dz - x
+        J[1, 6] = e1 = r01 * dx + r11 * dy + r21 * dz - y
+        J[2, 6] = e2 = r02 * dx + r12 * dy + r22 * dz - z
+        ux, uy, uz = axes[i, 0], axes[i, 1], axes[i, 2]
+        u0 = r00 * ux + r10 * uy + r20 * uz
+        u1 = r01 * ux + r11 * uy + r21 * uz
+        u2 = r02 * ux + r12 * uy + r22 * uz
+        p, k = perp[i], along[i] - perp[i]
+        m00, m01, m02, m11, m12, m22 = inverse_symmetric(
+            covariances[i, 0] + p + k * u0 * u0,
+            covariances[i, 1] + k * u0 * u1,
+            covariances[i, 2] + k * u0 * u2,
+            covariances[i, 3] + p + k * u1 * u1,
+            covariances[i, 4] + k * u1 * u2,
+            covariances[i, 5] + p + k * u2 * u2,
+        )
+        square = (
+            e0 * (m00 * e0 + 2.0 * (m01 * e1 + m02 * e2))
+            + e1 * (m11 * e1 + 2.0 * m12 * e2)
+            + m22 * e2 * e2
+        )
+        chi2[i] = square
+        # Huber's rho(s) = s inside delta^2, 2 delta sqrt(s) - delta^2 beyond; weight rho'(s).
+        w, rest = 1.0, 0.0
+        if square > huber * huber:
+            w = huber / math.sqrt(square)
+            rest = huber * math.sqrt(square) - huber * huber
+        for b in range(7):
+            j0, j1, j2 = w * J[0, b], w * J[1, b], w * J[2, b]
+            M[0, b] = m00 * j0 + m01 * j1 + m02 * j2
+            M[1, b] = m01 * j0 + m11 * j1 + m12 * j2
+            M[2, b] = m02 * j0 + m12 * j1 + m22 * j2
+        for b in range(7):  # J's first three columns are the identity
+            total[0, b] += M[0, b]
+            total[1, b] += M[1, b]
+            total[2, b] += M[2, b]
+            total[3, b] += y * M[2, b] - z * M[1, b]
+            total[4, b] += z * M[0, b] - x * M[2, b]
+            total[5, b] += x * M[1, b] - y * M[0, b]
+        total[6, 6] += w * square + rest
+
+
+@kernel
+def _accumulate_along(points, covariances, normals, targets, axes, perp, along, T, total):
+    row = np.zeros(7)
+    for i in range(points.shape[0]):
+        if perp[i] < 0.0:
+            continue
+        a0, a1, a2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        w0 = T[0, 0] * a0 + T[0, 1] * a1 + T[0, 2] * a2
+        w1 = T[1, 0] * a0 + T[1, 1] * a1 + T[1, 2] * a2
+        w2 = T[2, 0] * a0 + T[2, 1] * a1 + T[2, 2] * a2
+        cosine = w0 * axes[i, 0] + w1 * axes[i, 1] + w2 * axes[i, 2]
+        c = covariances[i]
+        variance = (
+            c[0] * a0 * a0 + c[3] * a1 * a1 + c[5] * a2 * a2
+            + 2.0 * (c[1] * a0 * a1 + c[2] * a0 * a2 + c[4] * a1 * a2)
+            + perp[i] + (along[i] - perp[i]) * cosine * cosine
+        )  # fmt: skip
+        row[0], row[1], row[2] = a0, a1, a2
+        row[3], row[4], row[5] = y * a2 - z * a1, z * a0 - x * a2, x * a1 - y * a0
+        row[6] = (
+            w0 * (targets[i, 0] - T[0, 3])
+            + w1 * (targets[i, 1] - T[1, 3])
+            + w2 * (targets[i, 2] - T[2, 3])
+            - (a0 * x + a1 * y + a2 * z)
+        )
+        for a in range(7):
+            for b in range(a, 7):
+                total[a, b] += row[a] * row[b] / variance

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""When a frame becomes a keyframe, and which Gaussians it spawns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..camera import PinholeCamera
+from ..config.stages import KeyframeConfig
+from ..sensor import SensorNoise
+from .cloud import FrameCloud
+from .gaussian_map import GaussianMap
+
+_CONFIRM_SIGMAS = 3.0 * np.sqrt(2.0)  # two measurements of one surface differ by no more
+_SPAWN_SIGMAS = 3.0  # a Gaussian this near along the ray is the same surface
+_URGENT = 0.6  # of either threshold: asks at once, whatever the budget
+
+
+class KeyframePolicy:
+    """Asks for a keyframe when the view has moved on from the last one."""
+
+    def __init__(self, config: KeyframeConfig) -> None:
+        """Wait for the first keyframe."""
+        self.config = config
+        self._T_world_cam = np.eye(4)
+        self._stamp_ns = 0
+        self._overlap = 0.0
+        self._landmarks = 0
+
+    def took(self, T_world_cam: NDArray, stamp_ns: int, landmarks: int) -> None:
+        """Remember the last keyframe."""
+        self._T_world_cam, self._stamp_ns = T_world_cam, stamp_ns
+        self._landmarks, self._overlap = landmarks, 0.0
+
+    def wants(
+        self,
+        T_world_cam: NDArray,
+        stamp_ns: int,
+        turn_rad_s: float,
+        overlap: float,
+        landmarks: int,
+    ) -> bool:
+        """Decide for a frame with this share of points explained and landmarks alive.
+
+        A frame of a fast turn is blurred, and its depth's place least certain: what it built would
+        stay in the map, so it is made a keyframe only in need.
+
+        The overlap is held against the best one since the last keyframe, not against 1: what a
+        noisy sensor never explains, even just after a keyframe, is not news.
+        """
+        c = self.config
+        self._overlap = max(self._overlap, overlap)
+        seen = overlap / (c.overlap * max(self._overlap, 1e-9))
+        few = self._landmarks < c.min_landmarks  # the scene has none to offer: no use in asking
+        kept = 1.0 if few else landmarks / (c.landmarks * self._landmarks)
+        if min(seen, kept) < _URGENT:
+            return True
+        if (stamp_ns - self._stamp_ns) * 1e-9 < c.min_interval_s or turn_rad_s > c.max_turn_rad_s:
+            return False
+        moved = se3.log(se3.inverse(self._T_world_cam) @ T_world_cam)
+        far = np.linalg.norm(moved[:3]) > c.translation_m
+        turned = np.linalg.norm(moved[3:]) > c.rotation_rad
+        return bool(far or turned or seen < 1.0 or kept < 1.0)
+
+
+def spawn(
+    cloud: FrameCloud,
+    T_world_cam: NDArray[np.float64],
+    gaussians: GaussianMap,
+    host: int,
+    focal_px: float,
+    sensor: SensorNoise,
+    config: KeyframeConfig,
+    certain_m: float,
+) -> NDArray[np.int64]:
+    """Spawn the points of a keyframe's cloud that no Gaussian covers; returns the new ids.
+
+    A Gaussian covers a point within `spawn_px` across its ray and the depth's noise along it.
+    Points with sigma_z above `certain_m` spawn nothing.
+    """
+    R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
+    z = cloud.points[:, 2]
+    sigma = sensor.sigma(z)
+    turned = cloud.points @ R.T
+    world = (turned + t).astype(np.float32)
+    rays = (turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32)
+    across = np.maximum(config.spawn_min_m, config.spawn_px / focal_px * z).astype(np.float32)
+    along = np.maximum(across, _SPAWN_SIGMAS * sigma).astype(np.float32)
+    new = (sigma <= certain_m) & ~gaussians.index.covered(
+        gaussians.means, world, rays, across, along
+    )
+    normals = (cloud.normals[new] @ R.T).astype(np.float32)
+    return gaussians.add(world[new], normals, cloud.flatness[new], t, host)
+
+
+def thinned(cloud: FrameCloud, voxel_m: float) -> FrameCloud:
+    """Keep the first point of each voxel: near by, pixels lie closer than Gaussians may."""
+    cells = np.floor(cloud.points / voxel_m).astype(np.int64) & 0x1FFFFF
+    keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    return cloud[np.sort(np.unique(keys, return_index=True)[1])]
+
+
+def confirmed(
+    cloud: FrameCloud,
+    T_other_cam: NDArray[np.float64],
+    other_depth_m: NDArray[np.float32],
+    camera: PinholeCamera,
+    sensor: SensorNoise,
+) -> FrameCloud:
+    """Keep the points that another depth image measures too, within both images' noise."""
+    there = cloud.points @ T_other_cam[:3, :3].T + T_other_cam[:3, 3]
+    keep = there[:, 2] > 0.05
+    pixels = np.round(camera.project(there[keep])).astype(int)
+    inside = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)
+    keep[keep] = inside
+    x, y = pixels[inside].T
+    z = there[keep, 2]
+    measured = other_depth_m[y, x]
+    keep[keep] = np.abs(measured - z) <= _CONFIRM_SIGMAS * sensor.sigma(z)
+    return cloud[keep]

@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Joint registration of a frame against the map (paper, depth residual and estimation)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..config.stages import Config
+from ..kernels.jit import kernel
+from .cloud import FrameCloud, measurement_covariances
+from .factors import Factor, NormalEquations, PointFactors, PosePrior, Targets
+from .gaussian_map import GaussianMap
+
+_DAMPING_START, _DAMPING_MIN = 1e-5, 1e-7
+_SETTLED = 1e-4  # relative gain of a step below which the next is not worth its time
+_STEPS_AN_ASSOCIATION = 2
+_START_STEPS = 5
+_FLATTEST = 1e-3  # lambda3 / lambda2 of Z(Sigma) at least: exact planes have no inverse
+
+
+class DepthTerm:
+    """Pairs each point of a cloud with the nearest Gaussian whose normal agrees."""
+
+    def __init__(
+        self,
+        cloud: FrameCloud,
+        gaussians: GaussianMap,
+        focal_px: float,
+        config: Config,
+        Q: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Compute the D_i; they do not depend on the pose."""
+        self.cloud = cloud
+        self._gaussians = gaussians
+        self._config = config
+        self._anchor = config.registration.anchor_px / focal_px
+        self._shared = config.ablation in ('shared', 'shared_klt')
+        self._Q = Q
+        self._slots = np.full(len(cloud), -1, np.int32)
+        if self._shared:
+            self._covariances = _plane_covariances(cloud)
+        else:
+            registration = config.registration
+            self._covariances = measurement_covariances(
+                cloud.points, cloud.normals, config.sensor,
+                registration.footprint_px / focal_px, registration.radius_m,
+            )  # fmt: skip
+
+    def associate(self, T_world_cam: NDArray[np.float64], search_m: float) -> PointFactors:
+        """Pairs at a pose, no farther apart than `search_m`; the r in D_i stays what it is.
+
+        `shared` instead takes the paper's Z(Sigma) = Sigma / lambda2 on both sides, of the scatter
+        here and of Sigma_r there, with lambda1 taken equal to lambda2.
+        """
+        cloud, gaussians, registration = self.cloud, self._gaussians, self._config.registration
+        gaussians.index.nearest_moved(
+            gaussians.means, cloud.points, T_world_cam, search_m, self._slots
+        )
+        n = len(cloud)
+        targets = Targets(
+            np.empty((n, 3), np.float32), np.empty((n, 3), np.float32),
+            np.empty(n, np.float32), np.empty(n, np.float32),
+        )  # fmt: skip
+        sensor = self._config.sensor
+        _gather(
+            self._slots, cloud.normals, T_world_cam, registration.min_normal_cosine,
+            gaussians.means, gaussians.normals, gaussians.viewpoints, gaussians.flatness,
+            self._anchor, sensor.a_m, sensor.b_per_m, self._shared,
+            targets.points, targets.axes, targets.perp, targets.along,
+        )  # fmt: skip
+        return PointFactors(cloud.points, self._covariances, targets, cloud.normals, Q=self._Q)
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Where the minimisation ended."""
+
+    T_world_cam: NDArray[np.float64]
+    depth: PointFactors  # as associated last
+    image: PointFactors | None
+    equations: NormalEquations  # both terms, at T_world_cam
+    sharp_depth: NormalEquations  # the depth term along the normals only
+    sharp: NormalEquations  # both terms, with that
+    inliers: int  # depth pairs
+
+    @property
+    def overlap(self) -> float:
+        """Share of the cloud that found its Gaussian."""
+        return self.inliers / max(len(self.depth.points), 1)
+
+
+def descend(
+    T_world_cam: NDArray[np.float64], terms: Sequence[Factor], steps: int
+) -> NDArray[np.float64]:
+    """At most `steps` Levenberg-Marquardt steps T <- T exp(xi) with the pairs as they are.
+
+    Each step is checked when the next begins; the last is left to the next association.
+    """
+    T, current = T_world_cam, _summed(terms, T_world_cam)
+    damping = _DAMPING_START
+    trial = T @ se3.exp(current.step(damping))
+    for _ in range(steps - 1):
+        proposed = _summed(terms, trial)
+        if proposed.cost <= current.cost * (1 + 1e-9):
+            if current.cost - proposed.cost <= _SETTLED * current.cost:
+                return trial
+            T, current, damping = trial, proposed, max(0.2 * damping, _DAMPING_MIN)
+        else:
+            damping = 20 * max(damping, 1e-6)
+        trial = T @ se3.exp(current.step(damping))
+    return trial
+
+
+def start_from_landmarks(prior: PosePrior, image: PointFactors) -> NDArray[np.float64]:
+    """Pose from the landmarks and the predicted motion: the largest lever in fast motion.
+
+    The prior keeps few or clustered landmarks from throwing the pose about.
+    """
+    return descend(prior.T_world_cam, [prior, image], _START_STEPS)
+
+
+def register(
+    T_world_cam: NDArray[np.float64],
+    depth: DepthTerm,
+    image: PointFactors | None,
+    config: Config,
+    search_m: float,
+) -> Registration:
+    """Minimise the paper's E(T): associate, descend, until the pose stands still.
+
+    `search_m` is how far the first association looks; each next one looks half as far, down to r.
+    Convergence is judged over a whole association, since the steps with fixed pairs are small well
+    before the pairs have stopped to change.
+    """
+    settings = config.registration
+    images = [] if image is None else [image]
+    T, search_m = T_world_cam, max(search_m, settings.radius_m)
+    for _ in range(max(1, settings.max_iterations // _STEPS_AN_ASSOCIATION)):
+        before = T
+        pairs = depth.associate(T, search_m)
+        T = descend(T, [pairs, *images], _STEPS_AN_ASSOCIATION)
+        moved = se3.inverse(before) @ T
+        turned = np.linalg.norm(moved[:3, :3] - np.eye(3)) / np.sqrt(2.0)
+        still = np.linalg.norm(moved[:3, 3]) < settings.tolerance_m
+        if still and turned < settings.tolerance_rad and search_m == settings.radius_m:
+            break
+        search_m = max(0.5 * search_m, settings.radius_m)
+    T = se3.orthonormalised(T)
+    sharp_depth = pairs.along_normals(T)
+    sharp = sharp_depth if pairs.Q is None else sharp_depth.limited(pairs.Q)
+    equations = pairs.normal_equations(T)
+    if image is not None:
+        image_equations = image.normal_equations(T)
+        equations, sharp = equations + image_equations, sharp + image_equations
+    inliers = int(np.count_nonzero(pairs.targets.perp >= 0))
+    return Registration(T, pairs, image, equations, sharp_depth, sharp, inliers)
+
+
+def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:
+    total = terms[0].normal_equations(T)
+    for term in terms[1:]:
+        total = total + term.normal_equations(T)
+    return total
+
+
+def _plane_covariances(cloud: FrameCloud) -> NDArray[np.float32]:
+    """Z(Q_i) = I - (1 - lambda3 / lambda2) n n^T, (N, 6)."""
+    n = cloud.normals
+    k = 1.0 - np.maximum(cloud.flatness, _FLATTEST)
+    return np.column_stack(
+        [
+            1 - k * n[:, 0] ** 2, -k * n[:, 0] * n[:, 1], -k * n[:, 0] * n[:, 2],
+            1 - k * n[:, 1] ** 2, -k * n[:, 1] * n[:, 2], 1 - k * n[:, 2] ** 2,
+        ]
+    ).astype(np.float32)  # fmt: skip
+
+
+@kernel
+def _gather(
+    slots, normals, T, min_cosine, means, map_normals, viewpoints, flatness, anchor, noise_a,
+    noise_b, shared, points, axes, perp, along,
+):  # fmt: skip
+    for i in range(slots.shape[0]):
+        perp[i] = -1.0
+        j = slots[i]
+        if j < 0:
+            continue
+        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
+        m0, m1, m2 = map_normals[j, 0], map_normals[j, 1], map_normals[j, 2]
+        cosine = (
+            (T[0, 0] * a + T[0, 1] * b + T[0, 2] * c) * m0
+            + (T[1, 0] * a + T[1, 1] * b + T[1, 2] * c) * m1
+            + (T[2, 0] * a + T[2, 1] * b + T[2, 2] * c) * m2
+        )
+        if not cosine >= min_cosine:
+            continue
+        points[i, 0], points[i, 1], points[i, 2] = means[j, 0], means[j, 1], means[j, 2]
+        if shared:
+            axes[i, 0], axes[i, 1], axes[i, 2] = m0, m1, m2
+            perp[i], along[i] = 1.0, max(flatness[j], _FLATTEST)
+            continue
+        x = means[j, 0] - viewpoints[j, 0]
+        y = means[j, 1] - viewpoints[j, 1]
+        z = means[j, 2] - viewpoints[j, 2]
+        range2 = x * x + y * y + z * z
+        s = 1.0 / np.sqrt(range2)
+        axes[i, 0], axes[i, 1], axes[i, 2] = x * s, y * s, z * s
+        perp[i] = anchor * anchor * range2
+        along[i] = (noise_a + noise_b * range2) ** 2

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recorded images, raw (Image) or compressed (CompressedImage), as colour and depth."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.camera import PinholeCamera
+from ...core.errors import FrameError
+from ...io.ros_images import measured, read_color, read_depth
+from ..images.files import decode_color, decode_depth, encoded_size
+
+_PNG = b'\x89PNG\r\n\x1a\n'
+_DEPTH_HEADER = struct.Struct('<Iff')  # compressed_depth_image_transport's: format, A, B
+
+
+def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
+    """Colour (H, W, 3) RGB or (H, W) of an Image or CompressedImage of the camera's size.
+
+    Raises `FrameError` or `MessageError`; nothing of another size is decoded.
+    """
+    _check_size('colour', message, camera)
+    if is_compressed(message):
+        return decode_color(bytes(message.data), _name('colour', message))
+    return read_color(message)
+
+
+def depth_of(message: Any, camera: PinholeCamera, per_metre: float) -> NDArray[np.float32]:
+    """Depth (H, W) in metres, 0 = none, of an Image or CompressedImage of the camera's size.
+
+    `per_metre` is the value of 16 bits at one metre. Compressed depth is a PNG of 16 bits, as it
+    is or behind compressed_depth_image_transport's header, where 32FC1 is inverse depth: its
+    quantity q > 0 means A / (q - B) metres. Raises `FrameError` or `MessageError`; nothing of
+    another size is decoded.
+    """
+    _check_size('depth', message, camera)
+    if not is_compressed(message):
+        return read_depth(message, per_metre)
+    header, png = _split(bytes(message.data))
+    raw = decode_depth(png, _name('depth', message))
+    if not (header and message.format.startswith('32FC1')):
+        return raw.astype(np.float32) / np.float32(per_metre)
+    _, a, b = _DEPTH_HEADER.unpack(header)
+    with np.errstate(all='ignore'):  # damaged parameters
+        depth_m = np.float32(a) / (raw.astype(np.float32) - np.float32(b))
+    depth_m[raw == 0] = 0.0
+    return measured(depth_m)
+
+
+def image_size(message: Any) -> tuple[int, int]:
+    """Width and height that an Image or CompressedImage tells; raises `FrameError`."""
+    if not is_compressed(message):
+        return int(message.width), int(message.height)
+    return encoded_size(_split(bytes(message.data))[1], _name('image', message))
+
+
+def is_compressed(message: Any) -> bool:
+    """Tell a CompressedImage from an Image."""
+    return hasattr(message, 'format')
+
+
+def _name(what: str, message: Any) -> str:
+    return f'{what} ({message.format[:40]})'
+
+
+def _split(data: bytes) -> tuple[bytes, bytes]:
+    """Header of compressed depth, empty where there is none, and the image behind it."""
+    size = _DEPTH_HEADER.size
+    return (data[:size], data[size:]) if data[size:].startswith(_PNG) else (b'', data)
+
+
+def _check_size(what: str, message: Any, camera: PinholeCamera) -> None:
+    width, height = image_size(message)
+    if (width, height) != (camera.width, camera.height):
+        raise FrameError(
+            f"{what} is {width}x{height} pixels, but the camera's images are "
+            f'{camera.width}x{camera.height}'
+        )

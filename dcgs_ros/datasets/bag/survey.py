@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One pass over a recording: which images belong together, the ground truth, what is lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.trajectory import Trajectory
+from ...io.ros_images import MessageError
+from ...io.trajectory import format_stamp_ns
+from ..images.association import MAX_PAIR_GAP_NS, associate_stamps
+from ..source import BadFrame, SourceError
+from .extrinsics import transform
+from .messages import DamagedError, RawMessage, decode, raw_messages, read_header
+
+GROUNDTRUTH_TOPIC = '/groundtruth'  # poses of the colour camera
+POSE = 'geometry_msgs/msg/PoseStamped'
+
+_MAX_STEP_BACK_NS = 1_000_000_000  # more is not disorder but another recording
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a recording holds, without its images."""
+
+    pairs: list[tuple[int, int]]  # stamps of colour and depth, by colour
+    groundtruth: Trajectory | None
+    lost: list[BadFrame]  # messages that cannot be read, and the end where it is missing
+
+
+def survey(path: Path | str, color: str, depth: str) -> Survey:
+    """Read the headers of the images and the ground truth's poses; nothing is decoded else.
+
+    Raises `SourceError` where no colour and depth image are a pair, or stamps step back by more
+    than a second.
+    """
+    stamps: dict[str, list[int]] = {color: [], depth: []}
+    poses: dict[int, NDArray[np.float64]] = {}
+    lost = []
+    number = 0
+    try:
+        for number, message in enumerate(
+            raw_messages(path, (*stamps, GROUNDTRUTH_TOPIC), heads=True), 1
+        ):
+            try:
+                if message.topic in stamps:
+                    _note(stamps[message.topic], read_header(message.cdr)[0])
+                elif message.type == POSE:
+                    poses.setdefault(*_read_pose(message))
+            except MessageError as error:
+                lost.append(BadFrame(f'message {number} ({message.topic})', str(error)))
+            except SourceError as error:
+                where = f'{message.topic}, message {len(stamps[message.topic]) + 1}'
+                raise SourceError(f'{path}: {where}: {error}') from error
+    except DamagedError as error:
+        lost.append(BadFrame('end of the recording', str(error)))
+    pairs = _paired(path, stamps[color], stamps[depth], lost)
+    return Survey(pairs, _trajectory(poses), lost)
+
+
+def _note(stamps: list[int], stamp_ns: int) -> None:
+    if stamps and stamp_ns < stamps[-1] - _MAX_STEP_BACK_NS:
+        raise SourceError(
+            f'its stamp {format_stamp_ns(stamp_ns)} is before {format_stamp_ns(stamps[-1])}: '
+            'more than one recording in one'
+        )
+    stamps.append(stamp_ns)
+
+
+def _read_pose(message: RawMessage) -> tuple[int, NDArray[np.float64]]:
+    pose = decode(message.cdr, message.type).pose
+    return read_header(message.cdr)[0], transform(pose.position, pose.orientation)
+
+
+def _trajectory(poses: dict[int, NDArray[np.float64]]) -> Trajectory | None:
+    if not poses:
+        return None
+    stamps = sorted(poses)
+    return Trajectory(np.array(stamps, np.int64), np.stack([poses[stamp] for stamp in stamps]))
+
+
+def _paired(
+    path: Path | str, color_ns: list[int], depth_ns: list[int], lost: list[BadFrame]
+) -> list[tuple[int, int]]:
+    """Pair the stamps; one that was recorded twice counts once."""
+    color, depth = (np.unique(np.array(values, np.int64)) for values in (color_ns, depth_ns))
+    pairs = associate_stamps(color, depth, MAX_PAIR_GAP_NS)
+    if not pairs:
+        spans = [_span(stamps) for stamps in (color, depth)]
+        damage = f'; {lost[-1].name}: {lost[-1].reason}' if lost else ''
+        raise SourceError(
+            f'{path}: none of {len(color)} colour images has a depth image within '
+            f'{MAX_PAIR_GAP_NS / 1e6:.0f} ms: colour {spans[0]}, depth {spans[1]}{damage}'
+        )
+    return [(int(color[i]), int(depth[j])) for i, j in pairs]
+
+
+def _span(stamps: NDArray[np.int64]) -> str:
+    if not len(stamps):
+        return 'none'
+    return f'{format_stamp_ns(stamps[0])} to {format_stamp_ns(stamps[-1])} s'

@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A sequence as a rosbag2 that `ros2 bag play` plays like the camera that made it.
+
+A message is recorded at its stamp, and messages are written in that order.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
+from heapq import heappop, heappush, merge
+from itertools import chain, count
+from pathlib import Path
+
+from ....core.frame import RgbdFrame
+from ...images.association import MAX_PAIR_GAP_NS
+from ...source import Source
+from ..camera import SENSOR_KEY
+from ..messages import RawMessage
+from .encoding import encode_imu, encode_link, encode_truth
+from .frames import FrameEncoder
+from .storage import BagOptions, on_connections, writing
+
+_MARGIN_NS = 100_000_000  # poses and inertial samples so long before and after the frames are kept
+
+
+def write_bag(
+    folder: Path, source: Source, frames: Iterable[RgbdFrame], options: BagOptions
+) -> list[str]:
+    """Write these frames of the source into a new folder, with its poses and inertial samples.
+
+    Of those only what was measured while the frames were. Returns what was lost, a line each.
+    Raises `BagWritingError`, and `EncodingError` for a stamp that no message can have.
+    """
+    encoder = FrameEncoder(source.camera, options.compress)
+    with writing(folder, options) as writer:
+        writer.set_custom_data(SENSOR_KEY, json.dumps(asdict(source.sensor)))
+        write = on_connections(writer)
+        for message in _messages(source, _in_order(frames, encoder.messages)):
+            write(message)
+    if not encoder.rounded:
+        return []
+    return [f'depth of {encoder.rounded} frames was rounded to 1 mm']
+
+
+def _messages(source: Source, frames: Iterator[RawMessage]) -> Iterator[RawMessage]:
+    """All messages by stamp; `frames` are those of the frames."""
+    first = next(frames, None)
+    if first is None:
+        return
+    start_ns = max(first.stamp_ns - _MARGIN_NS, 0)
+    yield encode_link(start_ns)
+    inertial = (encode_imu(sample) for sample in source.imu() if sample.stamp_ns >= start_ns)
+    truth = () if source.groundtruth is None else encode_truth(source.groundtruth, start_ns)
+    beside = merge(inertial, truth, key=lambda message: message.stamp_ns)
+    yield from _merged(chain([first], frames), beside)
+
+
+def _in_order(
+    frames: Iterable[RgbdFrame], encode: Callable[[RgbdFrame], Iterator[RawMessage]]
+) -> Iterator[RawMessage]:
+    """Messages of frames by stamp: depth may be as much as a pair's gap before or after colour."""
+    waiting: list[tuple[int, int, RawMessage]] = []
+    tie = count()
+    for frame in frames:
+        for message in encode(frame):
+            heappush(waiting, (message.stamp_ns, next(tie), message))
+        while waiting[0][0] < frame.stamp_ns - MAX_PAIR_GAP_NS:
+            yield heappop(waiting)[-1]
+    while waiting:
+        yield heappop(waiting)[-1]
+
+
+def _merged(frames: Iterator[RawMessage], beside: Iterator[RawMessage]) -> Iterator[RawMessage]:
+    """Both by stamp, until soon after the last of `frames`."""
+    other = next(beside, None)
+    end_ns = 0
+    for message in frames:
+        while other is not None and other.stamp_ns <= message.stamp_ns:
+            yield other
+            other = next(beside, None)
+        yield message
+        end_ns = message.stamp_ns + _MARGIN_NS
+    while other is not None and other.stamp_ns <= end_ns:
+        yield other
+        other = next(beside, None)

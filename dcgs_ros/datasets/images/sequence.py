@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sequences that are folders of colour and depth images, whatever the files are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.camera import PinholeCamera
+from ...core.errors import FrameError
+from ...core.frame import RgbdFrame
+from ...core.sensor import SensorNoise
+from ...core.trajectory import Trajectory
+from ..cameras import CameraPreset
+from ..source import BadFrame, ImuSample, SourceError, sequence_name
+from .association import StampPair
+from .files import read_color_file, read_depth_file
+
+Images = tuple[NDArray[np.uint8], NDArray[np.float32]]  # colour RGB, depth in metres
+
+
+def as_they_are(color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Images:
+    """Take images whose depth is registered to colour."""
+    return color, depth_m
+
+
+@dataclass(frozen=True)
+class ImageSequence:
+    """Pairs of image files, read one by one.
+
+    `register` makes of the two images as stored what one camera would have seen: colour and depth
+    of its size, pixel on pixel; it may raise `FrameError`.
+    """
+
+    name: str
+    folder: Path
+    pairs: Sequence[StampPair]  # in order of their colour stamps; paths relative to the folder
+    camera: PinholeCamera
+    sensor: SensorNoise
+    depth_per_metre: float  # raw value of a depth of one metre
+    groundtruth: Trajectory | None = None
+    register: Callable[[NDArray[np.uint8], NDArray[np.float32]], Images] = as_they_are
+
+    @classmethod
+    def of(
+        cls,
+        folder: Path,
+        pairs: Sequence[StampPair],
+        preset: CameraPreset,
+        groundtruth: Trajectory | None,
+        register: Callable[[NDArray[np.uint8], NDArray[np.float32]], Images] = as_they_are,
+    ) -> ImageSequence:
+        """Call it as its folder is called."""
+        camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
+        name = sequence_name(folder)
+        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register)
+
+    def __len__(self) -> int:
+        """Count the pairs, readable or not."""
+        return len(self.pairs)
+
+    def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
+        """Read the frames one by one; an unreadable one comes as a `BadFrame`."""
+        for number, pair in enumerate(self.pairs, start=1):
+            try:
+                frame: RgbdFrame | BadFrame = self._read(pair)
+            except FrameError as error:
+                name = f'frame {number} of {len(self)} ({pair.color.path})'
+                frame = BadFrame(name, str(error))
+            yield frame
+
+    def imu(self) -> Iterator[ImuSample]:
+        """Images are all there is."""
+        return iter(())
+
+    def _read(self, pair: StampPair) -> RgbdFrame:
+        color = read_color_file(self.folder, pair.color.path)
+        depth = read_depth_file(self.folder, pair.depth.path)
+        if not depth.any():
+            raise FrameError(f'{pair.depth.path} is zero in all {depth.size} pixels')
+        depth_m = depth.astype(np.float32) / np.float32(self.depth_per_metre)
+        color, depth_m = self.register(color, depth_m)
+        size = (self.camera.height, self.camera.width)
+        for path, image in ((pair.color.path, color), (pair.depth.path, depth_m)):
+            if image.shape[:2] != size:
+                raise FrameError(
+                    f'{path} is {image.shape[1]}x{image.shape[0]} pixels, '
+                    f"the camera's images are {size[1]}x{size[0]}"
+                )
+        return RgbdFrame(pair.color.stamp_ns, pair.depth.stamp_ns, color, depth_m)
+
+
+def color_size(folder: Path, pairs: Sequence[StampPair]) -> tuple[int, int]:
+    """Width and height of the first readable colour image; raises `SourceError`."""
+    reason: object = 'there is none'
+    for pair in pairs:
+        try:
+            height, width = read_color_file(folder, pair.color.path).shape[:2]
+        except FrameError as error:
+            reason = error
+        else:
+            return width, height
+    raise SourceError(f'{folder}: no readable colour image tells its size: {reason}')

@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""ScanNet: a scene's .sens file, or the folder that its tools export.
+
+The frames are the depth camera's: colour is resampled onto depth's pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...core.camera import PinholeCamera
+from ...core.errors import FrameError
+from ...core.frame import RgbdFrame
+from ...core.sensor import SensorNoise
+from ...core.trajectory import Trajectory
+from ...io.trajectory import read_tum
+from ..cameras import PRESETS
+from ..images.association import StampPair
+from ..images.color_resampling import ColorResampling
+from ..images.files import read_depth_file
+from ..images.indexed_frames import numbered_pairs
+from ..images.sequence import ImageSequence, color_size
+from ..poses import read_matrix, read_pose, rigid_trajectory
+from ..source import BadFrame, ImuSample, Source, SourceError, sequence_name
+from .calibration import make_depth_camera, make_resampling
+from .sens import SensFile, open_binary, read_sens
+
+LAYOUT = 'a .sens, or color/N.jpg, depth/N.png, pose/N.txt and intrinsic/*.txt (ScanNet)'
+
+_PRESET = PRESETS['scannet']
+
+
+def is_scannet(path: Path) -> bool:
+    """Tell whether the path is a .sens file or such a folder."""
+    if path.is_dir():
+        return _exported(path) is not None
+    return path.suffix == '.sens' and path.exists()
+
+
+def open_scannet(
+    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+) -> Source:
+    """Open a .sens file, or an exported folder.
+
+    `camera` is a preset's name or intrinsics as `parse_intrinsics` takes them, used for the depth
+    camera instead of the scene's own; `groundtruth` a trajectory file used instead of the scene's
+    poses. Raises a `DcgsError` that names the file.
+    """
+    path = Path(path)
+    truth = None if groundtruth is None else read_tum(groundtruth)
+    if path.is_dir():
+        return _open_folder(path, camera, truth)
+    return _open_sens(path, camera, truth)
+
+
+@dataclass(frozen=True)
+class SensSource:
+    """The frames of a .sens file, read one by one."""
+
+    name: str
+    file: SensFile
+    camera: PinholeCamera
+    sensor: SensorNoise
+    groundtruth: Trajectory | None
+    register: ColorResampling
+
+    def __len__(self) -> int:
+        """Count the whole frames, and one more where some are lost."""
+        return len(self.file.frames) + (self.file.loss is not None)
+
+    def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
+        """Read the frames one by one; what is unreadable or lost comes as a `BadFrame`."""
+        count = len(self.file.frames)
+        stamps_ns, depth_stamps_ns = self.file.stamps_ns()
+        with open_binary(self.file.path) as file:
+            for k in range(count):
+                try:
+                    color, depth = self.file.read_images(file, k)
+                    depth_m = depth.astype(np.float32) / np.float32(self.file.depth_per_metre)
+                    item: RgbdFrame | BadFrame = RgbdFrame(
+                        int(stamps_ns[k]), int(depth_stamps_ns[k]), *self.register(color, depth_m)
+                    )
+                except FrameError as error:
+                    item = BadFrame(f'frame {k + 1} of {count}', str(error))
+                yield item
+        if self.file.loss is not None:
+            yield BadFrame(f'what follows frame {count}', self.file.loss)
+
+    def imu(self) -> Iterator[ImuSample]:
+        """Read the rotation rates, where there are any."""
+        return self.file.imu()
+
+
+def _open_sens(path: Path, camera: str | None, truth: Trajectory | None) -> SensSource:
+    file = read_sens(path)
+    K_color, T_rig_color, K_depth, T_rig_depth = file.calibration
+    depth = make_depth_camera(path, camera, K_depth, file.depth_size)
+    register = make_resampling(path, K_color, file.color_size, depth, T_rig_color, T_rig_depth)
+    if truth is None:
+        truth = rigid_trajectory(file.stamps_ns()[0], file.frames['T_world_cam'])
+    return SensSource(path.stem, file, depth, _PRESET.sensor, truth, register)
+
+
+def _exported(path: Path) -> Path | None:
+    """Find the folder with color/ and depth/: the path itself or its frames/."""
+    for folder in (path, path / 'frames'):
+        if all((folder / name).is_dir() for name in ('color', 'depth', 'intrinsic')):
+            return folder
+    return None
+
+
+def _open_folder(path: Path, camera: str | None, truth: Trajectory | None) -> ImageSequence:
+    folder = _exported(path)
+    if folder is None:
+        raise SourceError(f'{path}: neither it nor its frames/ has color/, depth/ and intrinsic/')
+    pairs = numbered_pairs(folder, r'color/([0-9]{1,9})\.jpg', r'depth/([0-9]{1,9})\.png')
+    intrinsic = folder / 'intrinsic'
+    K_depth = np.eye(4) if camera else read_matrix(intrinsic / 'intrinsic_depth.txt')
+    depth = make_depth_camera(intrinsic, camera, K_depth, _depth_size(folder, pairs))
+    register = make_resampling(
+        intrinsic,
+        read_matrix(intrinsic / 'intrinsic_color.txt'),
+        color_size(folder, pairs),
+        depth,
+        *(
+            read_matrix(file) if file.exists() else np.eye(4)
+            for file in (intrinsic / 'extrinsic_color.txt', intrinsic / 'extrinsic_depth.txt')
+        ),
+    )
+    if truth is None:
+        files = [folder / 'pose' / f'{Path(pair.color.path).stem}.txt' for pair in pairs]
+        stamps_ns = np.array([pair.color.stamp_ns for pair in pairs], np.int64)
+        truth = rigid_trajectory(stamps_ns, np.array([read_pose(file) for file in files]))
+    name, unit = sequence_name(path), _PRESET.depth_per_metre
+    return ImageSequence(name, folder, pairs, depth, _PRESET.sensor, unit, truth, register)
+
+
+def _depth_size(folder: Path, pairs: list[StampPair]) -> tuple[int, int]:
+    """Width and height of the first readable depth image; raises `SourceError`."""
+    reason: object = 'there is none'
+    for pair in pairs:
+        try:
+            height, width = read_depth_file(folder, pair.depth.path).shape
+        except FrameError as error:
+            reason = error
+        else:
+            return width, height
+    raise SourceError(f'{folder}: no readable depth image tells its size: {reason}')

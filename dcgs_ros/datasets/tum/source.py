@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sequences in the folder layout of TUM's RGB-D benchmark, which Bonn's dynamic one has, too."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ...io.trajectory import read_tum
+from ..camera_files import chosen_camera
+from ..cameras import PRESETS
+from ..images.sequence import ImageSequence
+from ..source import SourceError, sequence_name
+from .index import read_pairs
+
+LAYOUT = 'rgb.txt and depth.txt, or associations.txt, and the images they name (TUM, Bonn)'
+
+
+def is_tum(path: Path) -> bool:
+    """Tell whether the path is such a folder, or what is left of one."""
+    return any((path / name).is_file() for name in ('rgb.txt', 'depth.txt', 'associations.txt'))
+
+
+def open_tum(
+    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+) -> ImageSequence:
+    """Open a folder with `rgb.txt` and `depth.txt`, or `associations.txt`.
+
+    `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels (then with TUM's 5000 per
+    metre and structured-light noise); None takes it from the folder's name. `groundtruth` defaults
+    to the folder's `groundtruth.txt` where there is one.
+
+    Everything but the images is read and checked here: raises `SourceError` (or
+    `TrajectoryFileError` for the ground truth) naming the file and the line.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise SourceError(f'{path}: no such folder')
+    pairs = read_pairs(folder)
+    text = camera or _infer_camera(sequence_name(folder))
+    preset = chosen_camera(text, PRESETS.get(text, PRESETS['fr3']), folder, pairs)
+    default = folder / 'groundtruth.txt'
+    if groundtruth is None and default.exists():
+        groundtruth = default
+    truth = None if groundtruth is None else read_tum(groundtruth)
+    return ImageSequence.of(folder, pairs, preset, truth)
+
+
+def _infer_camera(name: str) -> str:
+    if 'bonn' in name.lower():
+        return 'bonn'
+    match = re.search(r'(?:freiburg|fr)([123])(?!\d)', name.lower())
+    if match is None:
+        raise SourceError(
+            f'{name}: the name does not tell the camera (fr1, fr2, fr3 or bonn); '
+            f'give --camera {"|".join(PRESETS)} or --camera fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]'
+        )
+    return f'fr{match[1]}'

@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The configuration as YAML: plain, or as a ROS 2 parameter file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..core.config.schema import ConfigError, nested, override
+from ..core.config.stages import Config
+from ..core.errors import DcgsError
+
+_ROS_BLOCK = 'ros__parameters'
+
+
+class SettingsFileError(ConfigError):
+    """A file of settings cannot be read, or holds something else."""
+
+
+def apply_file(config: Config, path: Path | str) -> Config:
+    """Copy of `config` with what a YAML file sets.
+
+    The file maps stages to fields (`sensor: {a_m: 0.001}`), plainly or below a node's name and
+    `ros__parameters`, as ROS 2 has it; of several nodes' blocks a later one wins. An empty file
+    sets nothing. Raises `SettingsFileError`, naming the file.
+    """
+    try:
+        return override(config, _read(Path(path)))
+    except SettingsFileError:
+        raise
+    except DcgsError as error:
+        raise SettingsFileError(f'{path}: {error}') from error
+
+
+def write_config(path: Path | str, config: Config) -> None:
+    """Write every field, so that `apply_file` makes an equal configuration of any other."""
+    text = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
+    Path(path).write_text(text, encoding='utf-8')
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Read {'stage.field': value}."""
+    try:
+        tree = yaml.safe_load(path.read_bytes())
+    except OSError as error:
+        raise SettingsFileError(f'{path}: cannot be read: {error.strerror}') from error
+    except (yaml.YAMLError, UnicodeError) as error:
+        raise SettingsFileError(f'{path}: no YAML: {_one_line(error)}') from error
+    if tree is None:
+        return {}
+    if not isinstance(tree, Mapping):
+        raise SettingsFileError(
+            f'{path}: holds a {type(tree).__name__}, not settings as stage: {{field: value}}'
+        )
+    flat: dict[str, Any] = {}
+    for key, value in nested(tree).items():
+        field = key.rpartition(f'{_ROS_BLOCK}.')[2]
+        if value is not None or not field.endswith(_ROS_BLOCK):  # else: an empty block
+            flat[field] = value
+    return flat
+
+
+def _one_line(error: Exception) -> str:
+    """Say what and where; PyYAML shows the passage too, on lines of its own."""
+    mark = getattr(error, 'problem_mark', None)
+    problem = getattr(error, 'problem', None)
+    if mark is None or problem is None:
+        return str(error).splitlines()[0]
+    return f'{problem} in line {mark.line + 1}'

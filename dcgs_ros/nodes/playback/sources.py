@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What can be replayed, as messages of a camera: frames that are converted, bags that are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from ...core.frame import RgbdFrame
+from ...datasets.bag.camera import find_camera
+from ...datasets.bag.messages import (
+    DamagedError,
+    RawMessage,
+    is_bag,
+    raw_messages,
+    read_header,
+    with_stamp,
+)
+from ...datasets.bag.topics import CameraTopics, split_topics
+from ...datasets.open import open_source
+from ...datasets.source import BadFrame, Source, SourceError
+from ..messages.standard import header, write_camera, write_color, write_exact_depth
+
+Output = Literal['camera_info', 'color', 'depth']
+
+
+class PlaybackSource(Protocol):
+    """A recording to be replayed."""
+
+    camera_frame: str
+
+    def items(self) -> Iterator[tuple[int, Any]]:
+        """Read the recording anew: what is due when, in ns of its own clock."""
+        ...
+
+    def messages(self, item: Any, shift_ns: int) -> list[tuple[Output, Any]]:
+        """Messages of an item, in the order they are to be published, their stamps shifted."""
+        ...
+
+
+class FramePlayback:
+    """Frames of a source; each is due when the later one of its stamps is."""
+
+    def __init__(self, source: Source, camera_frame: str, say: Callable[[str], None]) -> None:
+        """`say` is told of frames that cannot be read."""
+        self._source = source
+        self.camera_frame = camera_frame
+        self._say = say
+
+    def items(self) -> Iterator[tuple[int, RgbdFrame]]:
+        """Read the frames, without the bad ones."""
+        for frame in self._source:
+            if isinstance(frame, BadFrame):
+                self._say(f'{frame.name}: {frame.reason}')
+            else:
+                yield max(frame.stamp_ns, frame.depth_stamp_ns), frame
+
+    def messages(self, item: RgbdFrame, shift_ns: int) -> list[tuple[Output, Any]]:
+        """Convert a frame."""
+        color = header(item.stamp_ns + shift_ns, self.camera_frame)
+        depth = header(item.depth_stamp_ns + shift_ns, self.camera_frame)
+        return [
+            ('camera_info', write_camera(self._source.camera, color)),
+            ('color', write_color(item.color, color)),
+            ('depth', write_exact_depth(item.depth_m, depth)),
+        ]
+
+
+class BagPlayback:
+    """Messages of a bag as they were recorded, each due when it was recorded."""
+
+    def __init__(
+        self, path: Path, topics: CameraTopics, camera_frame: str, say: Callable[[str], None]
+    ) -> None:
+        """`camera_frame` is for a bag whose images name none; `say` is told of what is lost."""
+        self._path, self._say = path, say
+        if topics.camera_info is None:
+            raise SourceError(f'{path}: no CameraInfo beside {topics.color}; give camera')
+        self._outputs: dict[str, Output] = {
+            topics.camera_info: 'camera_info',
+            topics.color: 'color',
+            topics.depth: 'depth',
+        }
+        first = next(raw_messages(path, [topics.color]))
+        self.camera_frame = read_header(first.cdr)[1] or camera_frame
+
+    def items(self) -> Iterator[tuple[int, RawMessage]]:
+        """Read the messages."""
+        try:
+            for message in raw_messages(self._path, self._outputs):
+                yield message.stamp_ns, message
+        except DamagedError as error:
+            self._say(str(error))
+
+    def messages(self, item: RawMessage, shift_ns: int) -> list[tuple[Output, Any]]:
+        """Hand the bytes over."""
+        cdr = item.cdr
+        if shift_ns:
+            cdr = with_stamp(cdr, read_header(cdr)[0] + shift_ns)
+        return [(self._outputs[item.topic], cdr)]
+
+
+def open_playback(
+    source: str, camera: str | None, camera_frame: str, say: Callable[[str], None]
+) -> PlaybackSource:
+    """Open what a user names; a bag is converted if a camera is given or its images need it.
+
+    Raises a `DcgsError` that says why not.
+    """
+    path, *topics = split_topics(source)
+    if camera is None and is_bag(path):
+        recorded = find_camera(path, None, *topics)
+        if recorded.as_published:
+            return BagPlayback(path, recorded.topics, camera_frame, say)
+    return FramePlayback(open_source(source, camera), camera_frame, say)

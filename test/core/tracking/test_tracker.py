@@ -1,0 +1,558 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The whole tracker: invariances, refusals and states; how accurate it is, marked slow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dcgs_ros.core import se3
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.errors import FrameError
+from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.kernels import jit
+from dcgs_ros.core.tracking.tracker import Tracker, TrackingState, TrackResult
+from dcgs_ros.core.trajectory import Trajectory
+from dcgs_ros.datasets.source import Source
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.datasets.tum.source import open_tum
+from dcgs_ros.evaluation.trajectory import absolute_trajectory_error, relative_pose_error
+
+Ablation = Literal['full', 'sigma_t', 'shared', 'shared_klt']
+ABLATIONS: tuple[Ablation, ...] = ('full', 'sigma_t', 'shared', 'shared_klt')
+# A turned world is sampled by other voxels and rounded to other float32 numbers.
+INVARIANT_M, INVARIANT_RAD = 1e-3, np.radians(0.05)
+# Off the truth within a dozen frames; the shared covariance does not know the sensor's noise.
+SHORT_M, SHORT_RAD = 0.01, np.radians(0.5)
+SHARED_M, SHARED_RAD = 0.03, np.radians(1.5)
+BACK_NS = 900 * 10**9
+IDEAL, KINECT, PLANE = (
+    'synthetic:room?frames=12&sensor=ideal',
+    'synthetic:room?frames=12&sensor=kinect',
+    'synthetic:plane?frames=12&sensor=ideal',
+)
+
+
+@cache
+def source_of(address: str) -> SyntheticSource:
+    return SyntheticSource.from_address(address)
+
+
+@cache
+def frames_of(address: str) -> tuple[RgbdFrame, ...]:
+    """Rendered once."""
+    return tuple(source_of(address))
+
+
+def tracker_for(
+    source: Source,
+    ablation: Ablation = 'full',
+    threads: int | None = None,
+    T_world_first: NDArray | None = None,
+) -> Tracker:
+    config = replace(Config(), sensor=source.sensor, ablation=ablation, threads=threads)
+    return Tracker(source.camera, config, T_world_first)
+
+
+def tracked(
+    address: str,
+    ablation: Ablation = 'full',
+    threads: int | None = None,
+    T_world_first: NDArray | None = None,
+) -> list[TrackResult]:
+    tracker = tracker_for(source_of(address), ablation, threads, T_world_first)
+    return [tracker.track(frame) for frame in frames_of(address)]
+
+
+def poses(results: list[TrackResult]) -> NDArray[np.float64]:
+    return np.stack([result.T_world_cam for result in results])
+
+
+def distance(T: NDArray, other: NDArray) -> tuple[float, float]:
+    """Metres and radians between two poses."""
+    xi = se3.log(se3.inverse(T) @ other)
+    return float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
+
+
+def assert_true(
+    address: str, results: list[TrackResult], ablation: Ablation = 'full', first: int = 0
+) -> None:
+    """Every pose is near the true motion since the first frame."""
+    own = ablation in ('full', 'sigma_t')
+    limit_m, limit_rad = (SHORT_M, SHORT_RAD) if own else (SHARED_M, SHARED_RAD)
+    groundtruth = source_of(address).groundtruth
+    assert groundtruth is not None
+    true = se3.inverse(groundtruth.T_world_cam[0]) @ groundtruth.T_world_cam
+    by_stamp = dict(zip(groundtruth.stamps_ns.tolist(), true, strict=True))
+    for result in results[first:]:
+        metres, radians = distance(by_stamp[result.stamp_ns], result.T_world_cam)
+        assert metres < limit_m and radians < limit_rad
+
+
+def blank(frame: RgbdFrame, depth_m: float = 0.35) -> RgbdFrame:
+    """Grey cardboard before the lens."""
+    return replace(
+        frame,
+        color=np.full_like(frame.color, 120),
+        depth_m=np.full_like(frame.depth_m, depth_m),
+    )
+
+
+@pytest.fixture(autouse=True)
+def restored_threads() -> Iterator[None]:
+    """Leave as many threads as there were."""
+    yield
+    jit.set_threads(None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+@pytest.mark.parametrize('ablation', ABLATIONS)
+def test_every_ablation_follows_the_camera(address: str, ablation: Ablation) -> None:
+    results = tracked(address, ablation)
+    assert_true(address, results, ablation)
+    assert all(r.state is not TrackingState.LOST for r in results)
+    assert [r.stamp_ns for r in results] == [f.stamp_ns for f in frames_of(address)]
+
+
+def test_only_where_asked_there_are_landmarks() -> None:
+    for ablation in ABLATIONS:
+        landmarks = [result.landmarks for result in tracked(IDEAL, ablation)]
+        if ablation in ('full', 'shared_klt'):
+            assert min(landmarks) > 20
+        else:
+            assert not any(landmarks)
+
+
+def test_the_first_frame_is_where_it_is_said_to_be() -> None:
+    T = se3.exp(np.array([1.0, -2.0, 0.5, 0.4, -0.3, 0.8]))
+    for T_first in (None, T):
+        first = tracked(IDEAL, T_world_first=T_first)[0]
+        np.testing.assert_array_equal(first.T_world_cam, np.eye(4) if T_first is None else T)
+        assert first.keyframe and len(first.spawned) > 1000
+        assert first.observability is None
+
+
+@pytest.mark.parametrize('ablation', ABLATIONS)
+def test_a_turned_world_gives_turned_poses(ablation: Ablation) -> None:
+    """Nothing depends on where the world's origin and axes are."""
+    T = se3.exp(np.array([1.0, -2.0, 0.5, 1.1, -0.7, 0.8]))
+    here, there = tracked(KINECT, ablation), tracked(KINECT, ablation, T_world_first=T)
+    for one, other in zip(here, there, strict=True):
+        metres, radians = distance(T @ one.T_world_cam, other.T_world_cam)
+        assert metres < INVARIANT_M and radians < INVARIANT_RAD
+        assert one.keyframe == other.keyframe
+
+
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+def test_the_same_frames_give_the_same_bytes_with_any_threads(address: str) -> None:
+    runs = [tracked(address, threads=threads) for threads in (1, 2, 2)]
+    for run in runs[1:]:
+        for one, other in zip(runs[0], run, strict=True):
+            assert one.T_world_cam.tobytes() == other.T_world_cam.tobytes()
+            assert one.covariance.tobytes() == other.covariance.tobytes()
+            np.testing.assert_array_equal(one.spawned, other.spawned)
+            assert one.colour_depth_offset_ms == other.colour_depth_offset_ms
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+@pytest.mark.parametrize('ablation', ABLATIONS)
+def test_the_covariance_is_one(address: str, ablation: Ablation) -> None:
+    """Symmetric, positive definite, and of millimetres here; also of walls that are flat."""
+    for result in tracked(address, ablation)[1:]:
+        covariance = result.covariance
+        np.testing.assert_allclose(covariance, covariance.T, rtol=1e-6, atol=1e-18)
+        eigenvalues = np.linalg.eigvalsh(covariance)
+        assert 0 < eigenvalues[0] and eigenvalues[-1] < 0.01**2
+
+
+def test_the_spectrum_is_reported() -> None:
+    for result in tracked(IDEAL)[1:]:
+        spectrum = result.observability
+        assert spectrum is not None
+        assert (spectrum.eigenvalues > 0).all()
+        assert (np.diff(spectrum.eigenvalues) >= 0).all()
+        assert 1 <= spectrum.kappa_rotation and 1 <= spectrum.kappa_translation
+        assert 0 < result.inliers <= result.points
+
+
+def test_on_a_plane_only_landmarks_keep_the_pose_observable() -> None:
+    """The paper's point: depth alone cannot see a motion within the plane, and says so."""
+    states = {
+        ablation: {result.state for result in tracked(PLANE, ablation)[1:]}
+        for ablation in ABLATIONS[:2]
+    }
+    assert states == {'full': {TrackingState.OK}, 'sigma_t': {TrackingState.DEGENERATE}}
+
+
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+def test_the_map_holds_what_was_reported_as_spawned(address: str) -> None:
+    """Whoever listens to the results alone knows which Gaussians there are."""
+    tracker = tracker_for(source_of(address))
+    results = [tracker.track(frame) for frame in frames_of(address)]
+    spawned = np.concatenate([result.spawned for result in results])
+    ids = tracker.gaussians.ids
+    np.testing.assert_array_equal(np.sort(spawned), np.sort(ids[ids >= 0]))
+    assert all(result.keyframe for result in results if len(result.spawned))
+    assert tracker.keyframes == sum(result.keyframe for result in results)
+
+
+@pytest.mark.parametrize('after', [1, 2, 5])
+def test_a_frame_that_is_refused_leaves_no_trace(after: int) -> None:
+    """Wrong size, a stamp not newer, depth of another time: as if it had not come."""
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    results = [tracker.track(frame) for frame in frames[:after]]
+    last = frames[after - 1]
+    small = RgbdFrame(
+        frames[after].stamp_ns, frames[after].stamp_ns,
+        np.zeros((48, 64), np.uint8), np.ones((48, 64), np.float32),
+    )  # fmt: skip
+    for bad, named in (
+        (small, '64x48'),
+        (last, 'before'),
+        (replace(last, stamp_ns=last.stamp_ns - 5_000_000), '0.005'),
+        (replace(frames[after], depth_stamp_ns=0), 'from colour'),
+    ):
+        with pytest.raises(FrameError, match=named):
+            tracker.track(bad)
+    results += [tracker.track(frame) for frame in frames[after:]]
+    np.testing.assert_array_equal(poses(results), poses(tracked(KINECT)))
+
+
+def test_before_the_first_frame_a_bad_one_is_refused_too() -> None:
+    tracker = tracker_for(source_of(IDEAL))
+    small = RgbdFrame(0, 0, np.zeros((48, 64), np.uint8), np.ones((48, 64), np.float32))
+    with pytest.raises(FrameError, match='64x48'):
+        tracker.track(small)
+    assert tracker.track(frames_of(IDEAL)[0]).state is TrackingState.OK
+
+
+@pytest.mark.parametrize('ablation', ABLATIONS)
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+def test_a_covered_lens_loses_the_pose_and_the_next_frames_find_it(
+    address: str, ablation: Ablation
+) -> None:
+    """While lost the pose stays and the map is left alone."""
+    frames, tracker = frames_of(address), tracker_for(source_of(address), ablation)
+    before = [tracker.track(frame) for frame in frames[:6]]
+    size = len(tracker.gaussians)
+    lost = [tracker.track(blank(frame)) for frame in frames[6:8]]
+    for result in lost:
+        assert result.state is TrackingState.LOST and not result.keyframe
+        np.testing.assert_array_equal(result.T_world_cam, before[-1].T_world_cam)
+        assert np.linalg.eigvalsh(result.covariance)[0] > 0.1**2
+        assert len(result.spawned) == 0 and result.landmarks == 0
+    assert len(tracker.gaussians) == size
+    after = [tracker.track(frame) for frame in frames[8:]]
+    assert not any(result.state is TrackingState.LOST for result in after)
+    assert_true(address, after, ablation, first=1)
+
+
+@pytest.mark.parametrize('at', [1, 2])
+def test_a_bad_beginning_is_got_over(at: int) -> None:
+    """The second frame, which tells the first one's velocity, sees nothing; or the third."""
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    results = [tracker.track(blank(frame) if k == at else frame) for k, frame in enumerate(frames)]
+    assert results[at].state is TrackingState.LOST
+    assert_true(KINECT, results, first=at + 2)
+
+
+@pytest.mark.parametrize('bad', [1, 2])
+def test_a_beginning_without_depth_is_got_over(bad: int) -> None:
+    """A depth camera that wakes up later than the colour camera: no map can come of one pixel."""
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    speck = np.zeros_like(frames[0].depth_m)
+    speck[200, 200] = 1.0
+    for frame in frames[:bad]:
+        tracker.track(replace(frame, depth_m=speck))
+    results = [tracker.track(frame) for frame in frames[bad:]]
+    assert all(result.state is TrackingState.OK for result in results[1:])
+    truth = source_of(KINECT).groundtruth
+    assert truth is not None
+    moved = se3.inverse(truth.T_world_cam[bad + 1]) @ truth.T_world_cam[-1]
+    found = se3.inverse(results[1].T_world_cam) @ results[-1].T_world_cam
+    metres, radians = distance(moved, found)
+    assert metres < SHORT_M and radians < SHORT_RAD
+
+
+def test_grey_images_give_the_poses_of_color_ones() -> None:
+    tracker = tracker_for(source_of(IDEAL))
+    results = [
+        tracker.track(replace(frame, color=cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)))
+        for frame in frames_of(IDEAL)
+    ]
+    np.testing.assert_array_equal(poses(results), poses(tracked(IDEAL)))
+
+
+def test_holes_may_be_zero_or_not_a_number() -> None:
+    tracker = tracker_for(source_of(KINECT))
+    results = [
+        tracker.track(
+            replace(frame, depth_m=np.where(frame.depth_m > 0, frame.depth_m, np.float32(np.nan)))
+        )
+        for frame in frames_of(KINECT)
+    ]
+    np.testing.assert_array_equal(poses(results), poses(tracked(KINECT)))
+
+
+def test_landmarks_carry_on_where_depth_has_no_normals() -> None:
+    """Two frames with depth in strips: too small for a normal's window, enough for corners."""
+    tracker = tracker_for(source_of(KINECT))
+    strips = np.arange(480)[:, None] % 12 < 6
+    results = []
+    for k, frame in enumerate(frames_of(KINECT)):
+        depth_m = np.where(strips, frame.depth_m, np.float32(0)) if k in (5, 6) else frame.depth_m
+        results.append(tracker.track(replace(frame, depth_m=depth_m)))
+    assert results[5].inliers == 0 < results[5].landmarks
+    assert_true(KINECT, results)
+
+
+def test_without_texture_depth_carries_on() -> None:
+    """A dark room: no landmarks at all."""
+    tracker = tracker_for(source_of(IDEAL))
+    results = [
+        tracker.track(replace(frame, color=np.full_like(frame.color, 3)))
+        for frame in frames_of(IDEAL)
+    ]
+    assert not any(result.landmarks for result in results)
+    assert_true(IDEAL, results)
+
+
+# Clocks that start anew, and maps that somebody else kept.
+
+PATIENCE_FRAMES = 50  # by then the search is as little demanding as it gets
+
+
+def of_another_clock(frame: RgbdFrame) -> RgbdFrame:
+    return replace(
+        frame, stamp_ns=frame.stamp_ns - BACK_NS, depth_stamp_ns=frame.depth_stamp_ns - BACK_NS
+    )
+
+
+def assert_found(address: str, results: list[TrackResult], frames: tuple[RgbdFrame, ...]) -> None:
+    """Not lost for long, and never wrong."""
+    found = [r.state is not TrackingState.LOST for r in results]
+    assert all(found[2:]) and found == sorted(found)
+    pairs = zip(results, frames, strict=True)
+    stamped = [replace(result, stamp_ns=frame.stamp_ns) for result, frame in pairs]
+    assert_true(address, stamped, first=found.index(True))
+
+
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+@pytest.mark.parametrize('ablation', ABLATIONS[:2])
+@pytest.mark.parametrize('at', [1, 6])
+def test_after_an_interruption_the_camera_is_found_whatever_its_clock_says(
+    address: str, ablation: Ablation, at: int
+) -> None:
+    frames, tracker = frames_of(address), tracker_for(source_of(address), ablation)
+    for frame in frames[:at]:
+        tracker.track(frame)
+    ids = tracker.gaussians.ids.copy()
+    tracker.interrupt()
+    searching = tracker.searching
+    np.testing.assert_array_equal(tracker.gaussians.ids, ids)
+    results = [tracker.track(of_another_clock(frame)) for frame in frames[at:]]
+    assert searching and not tracker.searching
+    assert_found(address, results, frames[at:])
+    with pytest.raises(FrameError, match='before'):  # that clock holds from now on
+        tracker.track(of_another_clock(frames[-1]))
+
+
+def test_who_looks_for_the_camera_and_sees_nothing_stays_where_it_was() -> None:
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    last = [tracker.track(frame) for frame in frames[:5]][-1]
+    size = len(tracker.gaussians)
+    tracker.interrupt()
+    for frame in frames[5:7]:
+        result = tracker.track(blank(frame))
+        assert result.state is TrackingState.LOST and not result.keyframe
+        np.testing.assert_array_equal(result.T_world_cam, last.T_world_cam)
+        np.testing.assert_array_equal(tracker.T_world_cam, last.T_world_cam)
+        assert tracker.searching and len(tracker.gaussians) == size
+    tracker.interrupt()
+    assert_found(KINECT, [tracker.track(frame) for frame in frames[7:]], frames[7:])
+
+
+def test_before_the_first_frame_there_is_nothing_to_interrupt() -> None:
+    T = se3.exp(np.array([1.0, -2.0, 0.5, 0.4, -0.3, 0.8]))
+    tracker = tracker_for(source_of(IDEAL), T_world_first=T)
+    tracker.interrupt()
+    assert not tracker.searching
+    np.testing.assert_array_equal(tracker.T_world_cam, T)
+    results = [tracker.track(frame) for frame in frames_of(IDEAL)]
+    np.testing.assert_array_equal(poses(results), poses(tracked(IDEAL, T_world_first=T)))
+
+
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+def test_a_tracker_goes_on_in_the_map_of_another(address: str) -> None:
+    """With its ids, its keyframes counted on, in its world; wherever the last of them was."""
+    frames, other = frames_of(address), tracker_for(source_of(address))
+    visited = [other.track(frame).T_world_cam for frame in frames[:6]][3::2]
+    visited.append(visited[0] @ se3.exp(np.array([1.0, 0.5, 0.0, 0.0, 2.0, 0.0])))
+    size = len(other.gaussians)
+    tracker = tracker_for(source_of(address), T_world_first=se3.exp(np.ones(6)))
+    tracker.resume(other.gaussians, visited)
+    assert tracker.searching and tracker.keyframes == len(visited)
+    np.testing.assert_array_equal(tracker.T_world_cam, visited[-1])
+    results = [tracker.track(of_another_clock(frame)) for frame in frames[6:]]
+    assert_found(address, results, frames[6:])
+    spawned = np.concatenate([result.spawned for result in results])
+    assert tracker.gaussians is other.gaussians
+    assert len(tracker.gaussians) == size + len(spawned)
+    assert tracker.keyframes == len(visited) + sum(result.keyframe for result in results)
+
+
+def test_a_place_the_map_does_not_show_is_never_taken_for_one_that_it_does() -> None:
+    """However long it is looked for."""
+    other = tracker_for(source_of(IDEAL))
+    visited = [other.track(frame).T_world_cam for frame in frames_of(IDEAL)[:3]]
+    tracker = tracker_for(source_of(IDEAL))
+    tracker.resume(other.gaussians, visited)
+    elsewhere = frames_of('synthetic:zigzag?frames=2&sensor=ideal')[1]
+    for k in range(PATIENCE_FRAMES):
+        stamp_ns = elsewhere.stamp_ns + k * 33_000_000
+        frame = replace(elsewhere, stamp_ns=stamp_ns, depth_stamp_ns=stamp_ns)
+        assert tracker.track(frame).state is TrackingState.LOST
+
+
+def test_settings_that_belong_to_what_is_in_the_map_stay_as_they_were() -> None:
+    frames, source = frames_of(KINECT), source_of(KINECT)
+    tracker = tracker_for(source, 'sigma_t', threads=1)
+    tracker.track(frames[0])
+    before = tracker.config
+    wanted = override(
+        Config(),
+        {'registration.max_iterations': 5, 'keyframes.overlap': 0.5, 'timing.memory_s': 3},
+    )
+    tracker.reconfigure(replace(wanted, ablation='shared', threads=2))
+    for name in ('sensor', 'ablation', 'threads', 'timing'):
+        assert getattr(tracker.config, name) == getattr(before, name)
+    assert tracker.config.registration.max_iterations == 5
+    assert tracker.config.keyframes == wanted.keyframes
+    results = [tracker.track(frame) for frame in frames[1:]]
+    assert_true(KINECT, results, 'sigma_t')
+    assert not any(result.landmarks for result in results)
+
+
+# What follows takes minutes: the accuracy that is promised, on whole sequences.
+
+TEDDY, MINI = 'tum_fr3_teddy_200', 'mini_fr1_xyz_vga_120'
+TEDDY_FULL_CM, TEDDY_SIGMA_T_CM, TEDDY_SHARED_FACTOR = 0.85, 1.6, 2.0
+MINI_CM, MINI_RPE_CM, MINI_RPE_DEG = 1.35, 2.3, 1.65
+SYNTHETIC_CM = {
+    'synthetic:room': 0.25,
+    'synthetic:zigzag': 0.5,
+    'synthetic:plane': 0.7,
+    'synthetic:room?speed=2': 0.6,  # 0.4 in the mean over seeds: benchmarks.accuracy
+    'synthetic:room?sensor=d435i': 0.8,
+}
+UNOBSERVABLE_CM = 50.0
+KEYFRAMES_PER_S = 3.0
+OFFSET_MS = 4.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One sequence, tracked."""
+
+    estimate: Trajectory
+    truth: Trajectory
+    results: list[TrackResult]
+
+    @property
+    def ate_cm(self) -> float:
+        return absolute_trajectory_error(self.estimate, self.truth).rmse_cm
+
+    @property
+    def keyframes_per_s(self) -> float:
+        seconds = (self.estimate.stamps_ns[-1] - self.estimate.stamps_ns[0]) * 1e-9
+        return float(sum(result.keyframe for result in self.results) / seconds)
+
+
+def track_all(source: Source, ablations: tuple[Ablation, ...]) -> dict[Ablation, Run]:
+    """All ablations side by side, so that each frame is made once and none is kept."""
+    trackers = {ablation: tracker_for(source, ablation) for ablation in ablations}
+    results: dict[Ablation, list[TrackResult]] = {ablation: [] for ablation in ablations}
+    for frame in source:
+        assert isinstance(frame, RgbdFrame)
+        for ablation, tracker in trackers.items():
+            results[ablation].append(tracker.track(frame))
+    truth = source.groundtruth
+    assert truth is not None
+    runs = {}
+    for ablation, tracked_frames in results.items():
+        stamps_ns = np.array([result.stamp_ns for result in tracked_frames])
+        runs[ablation] = Run(Trajectory(stamps_ns, poses(tracked_frames)), truth, tracked_frames)
+    return runs
+
+
+@cache
+def synthetic_runs(address: str) -> dict[Ablation, Run]:
+    plane = address == 'synthetic:plane'
+    return track_all(source_of(address), ('full', 'sigma_t', 'shared') if plane else ('full',))
+
+
+@cache
+def real_runs(folder: Path) -> dict[Ablation, Run]:
+    teddy = folder.name == TEDDY
+    source = open_tum(folder, 'fr3' if teddy else 'fr1')
+    return track_all(source, ('full', 'sigma_t', 'shared') if teddy else ('full',))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('address', 'limit_cm'), SYNTHETIC_CM.items())
+def test_synthetic_sequences_are_tracked(address: str, limit_cm: float) -> None:
+    assert synthetic_runs(address)['full'].ate_cm <= limit_cm
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('ablation', ['sigma_t', 'shared'])
+def test_a_plane_cannot_be_tracked_by_depth(ablation: Ablation) -> None:
+    assert synthetic_runs('synthetic:plane')[ablation].ate_cm > UNOBSERVABLE_CM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('sensor', ['kinect', 'd435i', 'ideal'])
+def test_keyframes_stay_rare_in_the_room(sensor: str) -> None:
+    address = 'synthetic:room' if sensor == 'kinect' else f'synthetic:room?sensor={sensor}'
+    assert synthetic_runs(address)['full'].keyframes_per_s < KEYFRAMES_PER_S
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('address', ['synthetic:room', 'synthetic:room?sensor=d435i'])
+def test_the_offset_of_depth_is_found(address: str) -> None:
+    estimate = synthetic_runs(address)['full'].results[-1].colour_depth_offset_ms
+    assert abs(estimate - source_of(address).colour_depth_offset_ms) < OFFSET_MS
+
+
+@pytest.mark.slow
+def test_teddy_is_tracked_and_each_part_of_the_method_pays(data_dir: Path) -> None:
+    runs = real_runs(data_dir / TEDDY)
+    assert runs['full'].ate_cm <= TEDDY_FULL_CM
+    assert runs['sigma_t'].ate_cm <= TEDDY_SIGMA_T_CM
+    assert runs['shared'].ate_cm >= TEDDY_SHARED_FACTOR * runs['full'].ate_cm
+
+
+@pytest.mark.slow
+def test_a_shaken_desk_is_tracked(data_dir: Path) -> None:
+    run = real_runs(data_dir / MINI)['full']
+    assert run.ate_cm <= MINI_CM
+    rpe = relative_pose_error(run.estimate, run.truth)
+    assert rpe.trans_rmse_cm <= MINI_RPE_CM and rpe.rot_rmse_deg <= MINI_RPE_DEG
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', [TEDDY, MINI])
+def test_keyframes_stay_rare_on_real_sequences(data_dir: Path, name: str) -> None:
+    assert real_runs(data_dir / name)['full'].keyframes_per_s < KEYFRAMES_PER_S

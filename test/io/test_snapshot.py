@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A running map as files keep it: with the tracker beside the mapper, or in another process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.splats import Splats
+from dcgs_ros.core.mapping.views import Images, KeyframeView
+from dcgs_ros.core.render.cpu import CpuRenderer
+from dcgs_ros.core.tracking.tracker import Tracker
+from dcgs_ros.io.map_archive import read_map, write_map
+from dcgs_ros.io.snapshot import as_hosts_saw, saved_map
+
+CAMERA = PinholeCamera(64, 48, 60.0, 61.0, 31.5, 23.5)
+RELATIVE = 1e-4
+BLACK = Images(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.uint16))
+ELEMENTS = np.triu_indices(3)
+
+
+def mapper_with(per_view: int = 20, views: int = 3) -> Mapper:
+    """Some of the tracker's Gaussians, ids 100 host + k, and own ones; poses refined since."""
+    workers, rng = Workers(1), np.random.default_rng(4)
+    mapper = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
+    own = -1
+    for k in range(views):
+        T = se3.exp(rng.normal(size=6) * 0.3)
+        view = KeyframeView.of(k, 10**9 + k, T, BLACK, None)
+        view.T_world_cam = T @ se3.exp(0.05 * rng.normal(size=6))
+        mapper.views.append(view)
+        planes = rng.normal(size=(14, per_view)).astype(np.float32)
+        planes[3:6] -= 4
+        ids = 100 * k + np.arange(per_view, dtype=np.int64)
+        ids[::4] = own - np.arange(len(ids[::4]))
+        own = int(ids.min()) - 1
+        measured = rng.uniform(-2, 2, (3, per_view)).astype(np.float32)
+        reach_m = np.full(per_view, np.inf, np.float32)
+        mapper.table.append(Splats(planes), ids, k, measured, reach_m)
+    return mapper
+
+
+def expected_covariance(mapper: Mapper, column: int) -> NDArray[np.float64]:
+    """S(u, z; p) of the ray from where the tracker had the host to where it had the Gaussian."""
+    table, config = mapper.table, mapper.config
+    host = mapper.views[table.hosts[column]].T_tracked[:3, 3]
+    ray = table.measured[:, column] - host
+    z = float(np.linalg.norm(ray))
+    along = np.outer(ray, ray) / z**2
+    sigma_perp = z * config.registration.anchor_px / CAMERA.focal
+    sigma_par = config.sensor.a_m + config.sensor.b_per_m * z**2
+    return sigma_perp**2 * (np.eye(3) - along) + sigma_par**2 * along
+
+
+def test_what_the_tracker_measured_is_known_from_the_hosts() -> None:
+    """In the tracker's world, however far the mapper has moved poses and means."""
+    mapper = mapper_with()
+    viewpoints, covariances = as_hosts_saw(mapper)
+    table = mapper.table
+    assert viewpoints.dtype == covariances.dtype == np.float32
+    for k, id in enumerate(table.ids):
+        if id < 0:
+            assert np.isnan(viewpoints[k]).all() and np.isnan(covariances[k]).all()
+            continue
+        host = mapper.views[table.hosts[k]].T_tracked[:3, 3]
+        np.testing.assert_array_equal(viewpoints[k], host.astype(np.float32))
+        expected = expected_covariance(mapper, k)
+        np.testing.assert_allclose(
+            covariances[k], expected[ELEMENTS], rtol=RELATIVE, atol=RELATIVE * np.trace(expected)
+        )
+
+
+@pytest.mark.filterwarnings('error')
+def test_what_has_no_covariance_is_not_measured_and_spoils_nothing(tmp_path: Path) -> None:
+    """At the viewpoint itself, or so far off that float32 ends."""
+    mapper, good = mapper_with(), mapper_with()
+    table = mapper.table
+    table.measured[:, 1] = mapper.views[0].T_tracked[:3, 3].astype(np.float32)
+    mapper.views[0].T_tracked[:3, 3] = table.measured[:, 1]
+    good.views[0].T_tracked[:3, 3] = table.measured[:, 1]
+    table.measured[:, 22], table.measured[:, 23] = 1e18, -3e38
+    viewpoints, covariances = as_hosts_saw(mapper)
+    bad = [1, 22, 23]
+    assert np.isnan(viewpoints[bad]).all() and np.isnan(covariances[bad]).all()
+    rest = np.setdiff1d(np.arange(len(table)), bad)
+    for found, expected in zip((viewpoints, covariances), as_hosts_saw(good), strict=True):
+        np.testing.assert_array_equal(found[rest], expected[rest])
+    write_map(tmp_path / 'map.dcgs', saved_map(mapper, None))
+    saved = read_map(tmp_path / 'map.dcgs')
+    assert set(saved.ids[~saved.measured]) == set(table.ids[table.ids < 0]) | set(table.ids[bad])
+
+
+def test_without_a_tracker_a_map_is_saved_whole_but_for_landmarks(tmp_path: Path) -> None:
+    mapper = mapper_with()
+    saved = saved_map(mapper, None)
+    write_map(tmp_path / 'map.dcgs', saved)
+    read = read_map(tmp_path / 'map.dcgs')
+    np.testing.assert_array_equal(read.ids, mapper.table.ids)
+    np.testing.assert_array_equal(read.hosts, mapper.table.hosts)
+    np.testing.assert_array_equal(read.splats.planes, mapper.table.splats.planes)
+    np.testing.assert_array_equal(read.measured, read.ids >= 0)
+    assert read.landmarks.shape == (0, 3) and read.landmark_covariances.shape == (0, 3, 3)
+    for keyframe, view in zip(read.keyframes, mapper.views, strict=True):
+        np.testing.assert_array_equal(keyframe.T_world_cam, view.T_world_cam)
+        np.testing.assert_array_equal(keyframe.T_tracked, view.T_tracked)
+
+
+def test_what_is_saved_stays_as_it_was_when_the_mapper_goes_on() -> None:
+    mapper = mapper_with()
+    saved = saved_map(mapper, None)
+    planes, ids = saved.splats.planes.copy(), saved.ids.copy()
+    mapper.table.splats.planes[:] += 1
+    mapper.table.ids[:] = 7
+    np.testing.assert_array_equal(saved.splats.planes, planes)
+    np.testing.assert_array_equal(saved.ids, ids)
+
+
+def test_poisoned_gaussians_are_not_saved() -> None:
+    mapper = mapper_with()
+    gone = mapper.table.ids[[3, 5]].tolist()
+    mapper.table.splats.planes[[0, 8], [3, 5]] = np.nan, np.inf
+    saved = saved_map(mapper, None)
+    assert not np.isin(gone, saved.ids).any() and len(saved.ids) == 58
+    assert len(saved.viewpoints) == len(saved.track_covariances) == len(saved.hosts) == 58
+
+
+def test_beside_a_tracker_what_it_has_counts() -> None:
+    """Its viewpoints, which are of the last observation; NaN of what it has not any more."""
+    mapper = mapper_with(per_view=8, views=1)
+    tracker = Tracker(CAMERA)
+    rng, n = np.random.default_rng(5), 8
+    means = rng.uniform(1, 2, (n, 3)).astype(np.float32)
+    tracker.gaussians.restore(
+        rng.permutation(n).astype(np.int64), means, -means, np.zeros(n, np.float32),
+        np.tile(np.arange(n, dtype=np.float32)[:, None], (1, 3)), np.zeros(n, np.int32), n,
+    )  # fmt: skip
+    tracker.gaussians.remove(np.array([5]))
+    saved = saved_map(mapper, tracker)
+    there = {id: k for k, id in enumerate(tracker.gaussians.ids.tolist()) if id >= 0}
+    for k, id in enumerate(saved.ids.tolist()):
+        if id not in there:
+            assert np.isnan(saved.viewpoints[k]).all()
+        else:
+            expected = tracker.gaussians.viewpoints[there[id]]
+            np.testing.assert_array_equal(saved.viewpoints[k], expected)
+    assert saved.measured.sum() == 5  # of 8, 0 and 4 are the mapper's own, 5 is gone
+
+
+def test_an_empty_map_can_be_saved() -> None:
+    workers = Workers(1)
+    mapper = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
+    saved = saved_map(mapper, None)
+    assert len(saved.splats) == 0 and not saved.keyframes

@@ -84,6 +84,11 @@ def inverse(T: NDArray) -> NDArray[np.float64]:
     return out
 
 
+def transform(T: NDArray[np.float64], points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Map points (N, 3) by one transform (4, 4): p_a = T_a_b p_b."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
 def adjoint(T: NDArray) -> NDArray[np.float64]:
     """Ad (6, 6) with T exp(xi) T^-1 = exp(Ad xi)."""
     R = T[:3, :3]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ..core import se3
 from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 
@@ -101,7 +102,7 @@ def absolute_trajectory_error(
     points = estimate.T_world_cam[i, :3, 3]
     targets = truth.T_world_cam[j, :3, 3]
     T_truth_estimate = align_umeyama(points, targets)
-    aligned = points @ T_truth_estimate[:3, :3].T + T_truth_estimate[:3, 3]
+    aligned = se3.transform(T_truth_estimate, points)
     errors = np.linalg.norm(targets - aligned, axis=1)
     return AteResult(
         rmse_cm=100 * _rms(errors),

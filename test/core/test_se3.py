@@ -202,3 +202,13 @@ def test_quaternions_of_stacks() -> None:
     )
     assert se3.from_quaternion(np.empty((0, 4)), np.empty((0, 3))).shape == (0, 4, 4)
     assert se3.to_quaternion(np.empty((0, 4, 4))).shape == (0, 4)
+
+
+def test_transform_maps_points_as_the_homogeneous_product_does() -> None:
+    rng = np.random.default_rng(11)
+    T, points = se3.exp(rng.normal(size=6)), rng.normal(size=(7, 3))
+    expected = np.column_stack([points, np.ones(7)]) @ T.T
+    np.testing.assert_allclose(se3.transform(T, points), expected[:, :3], atol=1e-14)
+    np.testing.assert_allclose(
+        se3.transform(se3.inverse(T), se3.transform(T, points)), points, atol=1e-13
+    )

@@ -136,7 +136,7 @@ class Mapper:
         camera = View.of(self.camera, view.T_world_cam)
         moved = view.T_world_cam @ se3.inverse(keyframe.T_world_cam)
         measured = Surface(
-            (keyframe.means @ moved[:3, :3].T + moved[:3, 3]).astype(np.float32),
+            se3.transform(moved, keyframe.means).astype(np.float32),
             (keyframe.normals @ moved[:3, :3].T).astype(np.float32),
             np.ones(len(keyframe.ids), np.bool_),
         )
@@ -155,7 +155,7 @@ class Mapper:
         reach_m = np.full(planes.shape[1], np.inf, np.float32)
         reach_m[: len(sigma_z)] = config.reach_sigmas * sigma_z[room]
         back = se3.inverse(moved)
-        own = lacks.points @ back[:3, :3].T + back[:3, 3]
+        own = se3.transform(back, lacks.points)
         tracked = np.concatenate([keyframe.means, own])[room].T.astype(np.float32)
         ids = np.concatenate([keyframe.ids, ids])[room]
         self.table.append(Splats(planes), ids, view.index, tracked, reach_m)

@@ -99,16 +99,18 @@ def lacking(
     lacks &= ~taken.ravel()
     u, v, measured = u[lacks], v[lacks], measured[lacks]
     points, normals = _surface_at(filled, measured, u, v, view)
-    R, t = view.T_world_cam[:3, :3], view.T_world_cam[:3, 3]
+    T_world_cam = view.T_world_cam
     return Surface(
-        (points @ R.T + t).astype(np.float32), (normals @ R.T).astype(np.float32), measured
+        se3.transform(T_world_cam, points).astype(np.float32),
+        (normals @ T_world_cam[:3, :3].T).astype(np.float32),
+        measured,
     )
 
 
 def _pixels(points: NDArray, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Pixels (N, 2) and depths (N,) of points in the world."""
     T_cam_world = se3.inverse(view.T_world_cam)
-    p_cam = points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
+    p_cam = se3.transform(T_cam_world, points)
     z = np.maximum(p_cam[:, 2], 1e-3)
     return p_cam[:, :2] / z[:, None] * (view.fx, view.fy) + (view.cx, view.cy), z
 

@@ -111,7 +111,7 @@ def confirmed(
     sensor: SensorNoise,
 ) -> FrameCloud:
     """Keep the points that another depth image measures too, within both images' noise."""
-    there = cloud.points @ T_other_cam[:3, :3].T + T_other_cam[:3, 3]
+    there = se3.transform(T_other_cam, cloud.points)
     keep = there[:, 2] > 0.05
     pixels = np.round(camera.project(there[keep])).astype(int)
     inside = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)

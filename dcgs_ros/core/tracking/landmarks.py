@@ -142,7 +142,7 @@ def detect(
     points = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, camera, sensor)
     keep = (points[:, 2] > sensor.depth_min_m) & (points[:, 2] < sensor.depth_max_m)
     pixels, points = pixels[keep], points[keep]
-    world = (points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]).astype(np.float32)
+    world = se3.transform(T_world_cam, points).astype(np.float32)
     slots = gaussians.index.nearest(gaussians.means, world, config.anchor_radius_m)
     best = np.flatnonzero(slots >= 0)[: max(wanted, 0)]  # the strongest come first
     pixels, world, slots = pixels[best], world[best], slots[best]
@@ -215,7 +215,7 @@ def _back_projected(
     rays = np.column_stack([camera.undistort(pixels), np.ones(len(pixels), np.float32)])
     there = rays * expected_m[:, None]
     T_cam_at_depth_cam = se3.inverse(T_cam_cam_at_depth)
-    then = there @ T_cam_at_depth_cam[:3, :3].T + T_cam_at_depth_cam[:3, 3]
+    then = se3.transform(T_cam_at_depth_cam, there)
     visible = then[:, 2] > 0.05
     looked_up = np.zeros(len(pixels), np.float32)
     looked_up[visible] = _depth_at(

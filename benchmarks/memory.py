@@ -23,7 +23,8 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers, cores
-from dcgs_ros.core.mapping.mapper import Keyframe, Mapper
+from dcgs_ros.core.keyframe import Keyframe
+from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.slam import Lockstep
 from dcgs_ros.core.tracking.tracker import Tracker

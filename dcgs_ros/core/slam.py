@@ -19,7 +19,8 @@ import numpy as np
 from .config.stages import Config
 from .frame import RgbdFrame
 from .kernels.workers import give_way
-from .mapping.mapper import Keyframe, Mapper, MapUpdate
+from .keyframe import Keyframe, MapUpdate
+from .mapping.mapper import Mapper
 from .tracking.tracker import Tracker, TrackingState, TrackResult
 
 

@@ -19,7 +19,8 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapping.mapper import Keyframe, Mapper, MapUpdate
+from dcgs_ros.core.keyframe import Keyframe, MapUpdate
+from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.slam import KeyframeSelector, Lockstep, Online, apply
 from dcgs_ros.core.tracking.gaussian_map import GaussianMap
 from dcgs_ros.core.tracking.tracker import Tracker, TrackingState, TrackResult

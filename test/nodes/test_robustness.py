@@ -35,7 +35,7 @@ from test_fuzz import (  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapping.mapper import Keyframe
+from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.nodes.harness.processes import wait_until
 from dcgs_ros.nodes.messages.keyframes import TOPICS, write_keyframe
 from dcgs_ros.nodes.messages.standard import (

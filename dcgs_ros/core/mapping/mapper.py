@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..errors import DcgsError
-from ..frame import RgbdFrame
 from ..kernels.workers import Workers
+from ..keyframe import Keyframe, MapUpdate, PosedFrame
 from ..render.renderer import Renderer, Rendering, View
 from . import exposure
 from .corrections import Corrections
@@ -26,31 +26,6 @@ from .views import Images, KeyframeView, Rectifier
 
 _COARSE = 2  # pixels of the image for one of a coarse step
 _EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
-
-
-@dataclass(frozen=True)
-class Keyframe:
-    """What the tracker hands over: an image, its pose, and the Gaussians it spawned."""
-
-    frame: RgbdFrame
-    T_world_cam: NDArray[np.float64]  # (4, 4) at the colour's instant
-    T_cam_cam_at_depth: NDArray[
-        np.float64
-    ]  # (4, 4) from the camera at the depth's instant to that
-    ids: NDArray[np.int64]  # (N,) of the Gaussians spawned
-    means: NDArray[np.float32]  # (N, 3) metres, world
-    normals: NDArray[np.float32]  # (N, 3) unit, world
-
-
-@dataclass(frozen=True)
-class MapUpdate:
-    """What the mapper hands back: how the tracker's Gaussians changed, and which are gone."""
-
-    ids: NDArray[np.int64]  # (N,)
-    means: NDArray[np.float32]  # (N, 3) metres, world
-    normals: NDArray[np.float32]  # (N, 3) unit, world: axis of the smallest scale of Sigma_r
-    flatness: NDArray[np.float32]  # (N,) lambda3 / lambda2 of Sigma_r
-    removed: NDArray[np.int64]  # (R,)
 
 
 class MapperError(DcgsError):
@@ -88,11 +63,12 @@ class Mapper:
         self._next_own_id = -1
         self._removed: list[NDArray[np.int64]] = []
 
-    def insert(self, keyframe: Keyframe) -> None:
-        """Take a keyframe in: its Gaussians, and others where its image still lacks some.
+    def insert(self, posed: PosedFrame) -> None:
+        """Take in a keyframe with its Gaussians, or a view without; add others where it lacks some.
 
         Raises `MapperError` for one that cannot be; the mapper is then as it was before.
         """
+        keyframe = posed if isinstance(posed, Keyframe) else _without_gaussians(posed)
         self._check(keyframe)
         images = self._rectify(keyframe.frame, keyframe.T_cam_cam_at_depth)
         view = KeyframeView.of(
@@ -331,3 +307,10 @@ class Mapper:
             np.array([view.T_world_cam for view in views]),
             [view.exposure for view in views],
         )
+
+
+def _without_gaussians(posed: PosedFrame) -> Keyframe:
+    none = np.empty((0, 3), np.float32)
+    return Keyframe(
+        posed.frame, posed.T_world_cam, posed.T_cam_cam_at_depth, np.empty(0, np.int64), none, none
+    )

@@ -12,7 +12,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
 from ...core.config.nodes import MapperNodeSettings
-from ...core.mapping.mapper import Mapper, MapUpdate
+from ...core.keyframe import MapUpdate
+from ...core.mapping.mapper import Mapper
 from ...core.render.renderer import Rendering
 from ..messages.clouds import MAP_GAUSSIAN, write_cloud
 from ..messages.keyframes import write_answer

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ...core.config.stages import Config
 from ...core.errors import DcgsError
 from ...core.kernels.workers import Workers, cores
-from ...core.mapping.mapper import Mapper, MapUpdate
+from ...core.keyframe import MapUpdate
+from ...core.mapping.mapper import Mapper
 from ...core.render import make_renderer
 from ...core.render.renderer import Rendering
 from ...io.map_archive import write_map

@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from ...core import se3
 from ...core.frame import RgbdFrame
-from ...core.mapping.mapper import Keyframe, MapUpdate
+from ...core.keyframe import Keyframe, MapUpdate
 from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
 from ..tracking.keyframe_sender import KeyframePacket
 from .clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
 from ...core.kernels.workers import give_way
-from ...core.mapping.mapper import Keyframe
+from ...core.keyframe import Keyframe
 from ...io.ros_images import in_millimetres
 
 _IN_FLIGHT = 4  # offered and not acknowledged yet; views beyond it are left out

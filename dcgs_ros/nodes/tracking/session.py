@@ -16,7 +16,7 @@ from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
-from ...core.mapping.mapper import Keyframe, MapUpdate
+from ...core.keyframe import Keyframe, MapUpdate
 from ...core.slam import KeyframeSelector, apply
 from ...core.tracking.tracker import Tracker, TrackResult
 from ..messages.ids import EPOCHS

@@ -20,8 +20,9 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.core.mapping.losses import Exposure
-from dcgs_ros.core.mapping.mapper import Keyframe, Mapper
+from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.render.cpu import CpuRenderer
 
 CAMERA = PinholeCamera(80, 60, 70.0, 72.0, 38.0, 31.0)

@@ -22,7 +22,8 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapping.mapper import Keyframe, Mapper
+from dcgs_ros.core.keyframe import Keyframe
+from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.io.ply import read_ply
 from dcgs_ros.nodes.mapping.session import Mapping

@@ -21,7 +21,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapping.mapper import Keyframe, MapUpdate
+from dcgs_ros.core.keyframe import Keyframe, MapUpdate
 from dcgs_ros.io.ros_images import stamp_ns
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, joined_ids

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.mapping.mapper import Keyframe
+from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.nodes.tracking import keyframe_sender as module
 from dcgs_ros.nodes.tracking.keyframe_sender import KeyframePacket, KeyframeSender
 

@@ -23,7 +23,8 @@ from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.kernels.workers import give_way
-from ..core.tracking.warmup import ANY_CAMERA, warm_up_with_mapper
+from ..core.mapping.warmup import warm_up_with_mapper
+from ..core.tracking.warmup import ANY_CAMERA
 from ..io.ros_images import stamp_ns
 from .lifetime import Worker, run
 from .mapping.outputs import MapOutputs

@@ -151,14 +151,13 @@ class TrackerNode(Node):
             return
         if tracking.epoch != epoch:
             self._offers.forget()
-        if result.state is TrackingState.LOST:
-            return
-        self._outputs.publish(result, self._body)
-        if self._settings.save_on_exit:
-            self._remember(result.stamp_ns, self._body.pose(result.T_world_cam))
+        if result.state is not TrackingState.LOST:
+            self._outputs.publish(result, self._body)
+            if self._settings.save_on_exit:
+                self._remember(result.stamp_ns, self._body.pose(result.T_world_cam))
         self._link.camera_frame = camera_frame
-        for keyframe in tracking.keyframes(frame, result):
-            self._offers.put(KeyframePacket(tracking.epoch, camera, keyframe))
+        for posed in tracking.selected(frame, result):
+            self._offers.put(KeyframePacket(tracking.epoch, camera, posed))
 
     def _remember(self, stamp_ns: int, T_world_base: NDArray[np.float64]) -> None:
         if self._way and stamp_ns <= self._way[-1][0]:  # a recording played once more

@@ -17,10 +17,11 @@ from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.kernels.workers import Workers, cores
 from ...core.mapping.mapper import Mapper
+from ...core.mapping.warmup import warm_up_with_mapper
 from ...core.render import make_renderer
-from ...core.slam import Lockstep, Mapping, Online
+from ...core.slam import Lockstep, MappingMode, Online
 from ...core.tracking.tracker import Tracker, TrackResult
-from ...core.tracking.warmup import warm_up, warm_up_with_mapper
+from ...core.tracking.warmup import warm_up
 from ...datasets.prefetch import prefetch
 from ...datasets.source import BadFrame
 from ...evaluation.report import RunRecord, SkippedFrame, TrackedFrame
@@ -32,7 +33,7 @@ _OVERTAKEN = 'dropped: a newer frame came before the tracker was free'
 def follow(
     items: Iterable[RgbdFrame | BadFrame | LateFrame],
     tracker: Tracker,
-    mapping: Mapping,
+    mapping: MappingMode,
     record: RunRecord,
     progress: Progress,
     stopped: Callable[[], bool],
@@ -58,7 +59,7 @@ def follow(
 
 
 def refine(
-    mapping: Mapping, record: RunRecord, progress: Progress, stopped: Callable[[], bool]
+    mapping: MappingMode, record: RunRecord, progress: Progress, stopped: Callable[[], bool]
 ) -> None:
     """Optimise the map further, until it is done or `stopped`: then for one more step."""
     start = time.perf_counter()
@@ -73,7 +74,7 @@ def refine(
 
 
 def _step(
-    index: int, item: RgbdFrame | BadFrame | LateFrame, tracker: Tracker, mapping: Mapping
+    index: int, item: RgbdFrame | BadFrame | LateFrame, tracker: Tracker, mapping: MappingMode
 ) -> TrackedFrame | SkippedFrame:
     """Track one frame and hand it to the mapper, timed, or say why not."""
     if isinstance(item, BadFrame):
@@ -157,13 +158,13 @@ class Slam:
     """What follows the frames."""
 
     tracker: Tracker
-    mapping: Mapping
+    mapping: MappingMode
     mapper: Mapper | None  # None: the run only tracks
     online: bool  # the clock counts
 
 
 class NoMapping:
-    """A `Mapping` for runs that only track."""
+    """A `MappingMode` for runs that only track."""
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
         """Hand nothing over."""

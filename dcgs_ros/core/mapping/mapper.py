@@ -64,7 +64,7 @@ class Mapper:
         self._removed: list[NDArray[np.int64]] = []
 
     def insert(self, posed: PosedFrame) -> None:
-        """Take in a keyframe with its Gaussians, or a view without; add others where it lacks some.
+        """Take in a keyframe with its Gaussians, or a view; add others where the map lacks some.
 
         Raises `MapperError` for one that cannot be; the mapper is then as it was before.
         """

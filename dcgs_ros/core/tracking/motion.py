@@ -39,22 +39,19 @@ class LocalMotion:
         return self.twist + seconds * self.acceleration
 
 
+@dataclass(frozen=True)
 class ConstantVelocity:
     """Extrapolates the last pose with the last twist."""
 
-    def __init__(self) -> None:
-        """Know nothing."""
-        self.T_world_cam = np.eye(4)
-        self.stamp_ns = 0
-        self.twist = np.zeros(6)  # mean over the last frame interval, per second, camera frame
-        self._interval_s = 0.0  # the last frame interval; 0: none yet
+    T_world_cam: NDArray[np.float64]  # (4, 4) last pose
+    stamp_ns: int
+    twist: NDArray[np.float64]  # (6,) mean over the last frame interval, per second, camera frame
+    interval_s: float = 0.0  # the last frame interval; 0: none yet
 
-    def start(
-        self, T_world_cam: NDArray[np.float64], stamp_ns: int, twist: NDArray[np.float64]
-    ) -> None:
-        """Begin at a pose, with a twist per second in the camera frame."""
-        self.T_world_cam, self.stamp_ns, self.twist = T_world_cam, stamp_ns, twist
-        self._interval_s = 0.0
+    @classmethod
+    def at_rest(cls, T_world_cam: NDArray[np.float64], stamp_ns: int = 0) -> ConstantVelocity:
+        """Begin at a pose (4, 4), standing still."""
+        return cls(T_world_cam, stamp_ns, np.zeros(6))
 
     def _since_last_s(self, stamp_ns: int) -> float:
         return max((stamp_ns - self.stamp_ns) * 1e-9, _MIN_INTERVAL_S)
@@ -84,9 +81,9 @@ class ConstantVelocity:
         if dt > _MAX_GAP_S:
             return LocalMotion(np.zeros(6), np.zeros(6))
         mean = se3.log(se3.inverse(self.T_world_cam) @ T_world_cam) / dt
-        if self._interval_s == 0.0:
+        if self.interval_s == 0.0:
             return LocalMotion(mean, np.zeros(6))
-        acceleration = (mean - self.twist) * 2.0 / (dt + self._interval_s)
+        acceleration = (mean - self.twist) * 2.0 / (dt + self.interval_s)
         return LocalMotion(mean + 0.5 * dt * acceleration, acceleration)
 
     def passage_covariance(self, stamp_ns: int, lag_s: float) -> NDArray[np.float64]:
@@ -100,14 +97,13 @@ class ConstantVelocity:
         sigmas = np.repeat([_JERKY * bend, _ANGULAR_JERKY * bend], 3)
         return np.diag(np.square(sigmas) + 1e-14)
 
-    def advance(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> None:
-        """Take a registered pose."""
+    def advanced(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> ConstantVelocity:
+        """Return the motion after a registered pose (4, 4)."""
         dt = self._since_last_s(stamp_ns)
         if dt > _MAX_GAP_S:
-            self.start(T_world_cam, stamp_ns, np.zeros(6))
-            return
-        self.twist = se3.log(se3.inverse(self.T_world_cam) @ T_world_cam) / dt
-        self.T_world_cam, self.stamp_ns, self._interval_s = T_world_cam, stamp_ns, dt
+            return ConstantVelocity.at_rest(T_world_cam, stamp_ns)
+        twist = se3.log(se3.inverse(self.T_world_cam) @ T_world_cam) / dt
+        return ConstantVelocity(T_world_cam, stamp_ns, twist, dt)
 
 
 class ColorDepthOffset:

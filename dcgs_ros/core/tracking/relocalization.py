@@ -38,8 +38,8 @@ class Relocalizer:
         best = max(found, key=lambda result: result.overlap)
         return register(best.T_world_cam, depth, None, config, settings.radius_m)
 
-    def found(self, result: Registration, agreement: float) -> bool:
-        """Tell whether that is the place; otherwise the next one has to explain a bit less.
+    def accepts(self, result: Registration, agreement: float) -> bool:
+        """Return whether that is the place; otherwise the next one has to explain a bit less.
 
         A frame may fit to a wrong place. The map then shows what the frame looks through: such an
         `agreement` (`GaussianMap.agreement`) is not enough, however long it takes.

@@ -14,11 +14,7 @@ from ..camera import PinholeCamera
 from ..config.schema import override
 from ..config.stages import Config
 from ..frame import RgbdFrame
-from ..kernels.workers import Workers
-from ..mapping.mapper import Mapper
-from ..render import make_renderer
 from ..sensor import SensorNoise
-from ..slam import Lockstep
 from .tracker import Tracker
 
 _FRAMES = 4
@@ -28,20 +24,10 @@ _STEP_M = 0.004  # sideways, a frame
 _DISTANCE_M = 1.2  # to the plane, where the sensor reaches so far
 _NORMAL = np.array([0.28, 0.2, 0.94])  # of the plane, camera frame
 _TEXELS_PER_M = 400.0
-_EVERY_FRAME = {
+EVERY_FRAME = {
     'keyframes.translation_m': 1e-6,
     'keyframes.rotation_rad': 1e-6,
     'keyframes.min_interval_s': 0.0,
-}
-# Coarse steps and then full ones, few Gaussians, and what else comes up in a run now and then.
-_A_BIT_OF_ALL = {
-    'mapping.view_interval': 1,
-    'mapping.steps_per_frame': 1.0,
-    'mapping.final_steps': 5,
-    'mapping.coarse_share': 1.0,
-    'mapping.spawn_stride_px': 32,
-    'mapping.prune_interval': 4,
-    'mapping.image_memory_mb': 1.0,
 }
 
 
@@ -56,24 +42,13 @@ def warm_up(camera: PinholeCamera, config: Config) -> None:
     undistortion map is computed. Takes a fraction of a second once the kernels are in the cache on
     disk, a minute or so where they have to be compiled.
     """
-    tracker = Tracker(camera, override(config, _EVERY_FRAME))
-    for frame in _frames(camera, config.sensor):
+    tracker = Tracker(camera, override(config, EVERY_FRAME))
+    for frame in frames(camera, config.sensor):
         tracker.track(frame)
 
 
-def warm_up_with_mapper(camera: PinholeCamera, config: Config) -> None:
-    """Map a few such frames too, so that every kernel of `Mapper` has run as well."""
-    config = override(config, _EVERY_FRAME | _A_BIT_OF_ALL)
-    tracker, workers = Tracker(camera, config), Workers(1)
-    mapping = Lockstep(tracker, Mapper(camera, config, make_renderer(workers), workers))
-    for frame in _frames(camera, config.sensor):
-        mapping.after(frame, tracker.track(frame))
-        mapping.advance()
-    for _ in mapping.finish():
-        pass
-
-
-def _frames(camera: PinholeCamera, sensor: SensorNoise) -> Iterator[RgbdFrame]:
+def frames(camera: PinholeCamera, sensor: SensorNoise) -> Iterator[RgbdFrame]:
+    """Yield a few frames of the plane."""
     texture = _texture()
     for index in range(_FRAMES):
         yield _frame(camera, sensor, texture, index)

@@ -16,8 +16,8 @@ from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
-from ...core.keyframe import Keyframe, MapUpdate
-from ...core.slam import KeyframeSelector, apply
+from ...core.keyframe import MapUpdate, PosedFrame
+from ...core.tracking.selector import KeyframeSelector
 from ...core.tracking.tracker import Tracker, TrackResult
 from ..messages.ids import EPOCHS
 from .map_mirror import Resumable
@@ -45,7 +45,7 @@ class Tracking:
         self.counts: Counter[str] = Counter()  # of frames, by what became of them
         self.tracker: Tracker | None = None
         self.T_world_first, self._say = T_world_first, say
-        self._handover: KeyframeSelector | None = None
+        self._selector = KeyframeSelector(config.mapping.view_interval)
         self._resumable: Resumable | None = None
         self._stamp_ns = 0
         self._names: set[int] = set()  # stamps of keyframes
@@ -57,7 +57,7 @@ class Tracking:
 
     def reset(self) -> None:
         """Begin a new map, at the place and with the camera of the first frame to come."""
-        self.tracker, self._handover, self._resumable = None, None, None
+        self.tracker, self._resumable = None, None
         self.epoch, self._stamp_ns = new_epoch(), 0
 
     def reconfigure(self, config: Config) -> None:
@@ -65,8 +65,7 @@ class Tracking:
         self.config = config
         if self.tracker is not None:
             self.tracker.reconfigure(config)
-        if self._handover is not None:
-            self._handover.interval = config.mapping.view_interval
+        self._selector.interval = config.mapping.view_interval
 
     def track(self, frame: RgbdFrame, camera: PinholeCamera) -> TrackResult | None:
         """Track a frame; None, counted and said, where it is of no use."""
@@ -107,17 +106,16 @@ class Tracking:
         if self._resumable is not None:
             self.epoch = self._resumable.epoch
             self.tracker.resume(self._resumable.gaussians(self.config), self._resumable.poses)
-        self._handover = KeyframeSelector(self.tracker, self.config)
+        self._selector = KeyframeSelector(self.config.mapping.view_interval)
 
-    def keyframes(self, frame: RgbdFrame, result: TrackResult) -> list[Keyframe]:
-        """Make the keyframes that the mapper should have of this frame.
+    def selected(self, frame: RgbdFrame, result: TrackResult) -> list[PosedFrame]:
+        """Return the keyframes and views that the mapper should get now.
 
         Their stamps are their names: where a recording is played again the later ones are moved
         on by a nanosecond or more.
         """
-        assert self._handover is not None
-        chosen = self._handover.after(frame, result)
-        return [replace(k, frame=self._named(k.frame)) for k in chosen]
+        chosen = self._selector.select(frame, result)
+        return [replace(posed, frame=self._named(posed.frame)) for posed in chosen]
 
     def _named(self, frame: RgbdFrame) -> RgbdFrame:
         stamp_ns = frame.stamp_ns
@@ -129,7 +127,7 @@ class Tracking:
     def answer(self, update: MapUpdate, epoch: int) -> None:
         """Take what the mapper made of the Gaussians, if it is of this map."""
         if self.tracker is not None and epoch == self.epoch:
-            apply(update, self.tracker)
+            self.tracker.apply(update)
 
     def alive(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which Gaussians there still are; any thread may ask."""

@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One step of the paper's method (section III): a frame, the map and the memory give a pose.
+
+Nothing is stored on the way: an estimate that is not believed is dropped as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PinholeCamera
+from ..config.stages import Config
+from ..frame import RgbdFrame
+from ..keyframe import PosedFrame
+from .cloud import FrameCloud, sample_cloud
+from .factors import PointFactors, PosePrior
+from .gaussian_map import GaussianMap
+from .landmarks import Landmarks
+from .motion import ConstantVelocity
+from .registration import DepthTerm, Registration, register, start_from_landmarks
+
+_SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
+_SUSPICIOUS = 0.6  # share of the last frame's overlap below which a second start is tried
+_LANDMARK_ABLATIONS = ('full', 'shared_klt')
+
+
+@dataclass(frozen=True)
+class RegisteredFrame(PosedFrame):
+    """A frame with its pose and its grey image: where KLT goes on from."""
+
+    grey: NDArray[np.uint8]  # (H, W)
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What one frame's estimate needs of the frames before; replaced as a whole."""
+
+    motion: ConstantVelocity
+    offset_s: float  # depth's true time less its stamp
+    last: RegisteredFrame | None = None
+    landmarks: Landmarks = field(default_factory=Landmarks.none)  # pixels in the last frame
+    overlap: float = 0.0  # of the last frame
+
+    def lag_s(self, frame: RgbdFrame) -> float:
+        """Return how long after the colour's the depth's instant is, seconds."""
+        return (frame.depth_stamp_ns - frame.stamp_ns) * 1e-9 + self.offset_s
+
+    def depth_motion(
+        self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return T_cam_cam_at_depth (4, 4) of a frame whose colour was taken at `T_world_cam`."""
+        motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
+        return motion.pose_after(self.lag_s(frame))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where a frame was taken, and what that rests on."""
+
+    registered: RegisteredFrame
+    registration: Registration
+    landmarks: Landmarks  # those followed into the frame and measured: the image factors' own
+
+    def is_trusted(self, config: Config) -> bool:
+        """Return whether it has enough factors of one kind, and a finite system."""
+        found = self.registration
+        enough = found.inliers >= config.registration.min_pairs or (
+            found.image is not None and len(self.landmarks) >= config.landmarks.min_start
+        )
+        return enough and bool(np.isfinite(found.equations.H).all())
+
+    def consistent_landmarks(self, max_chi2: float) -> Landmarks:
+        """Return the landmarks that do not contradict the pose: a moving corner does."""
+        if self.registration.image is None:
+            return self.landmarks
+        return self.landmarks[self.registration.image.chi2(self.registered.T_world_cam) < max_chi2]
+
+
+def estimate(
+    frame: RgbdFrame, memory: Memory, gaussians: GaussianMap, camera: PinholeCamera, config: Config
+) -> Estimate:
+    """Register a frame against the map; reads its arguments and changes none of them."""
+    settings, grey = config.registration, to_grey(frame.color)
+    prior = memory.motion.prior(frame.stamp_ns)  # constant velocity
+    cloud = sample(frame, camera, config, config.cloud.stride_px)  # III-C: a_i, n_i
+    followed = _followed(grey, memory, prior, camera, config)  # III-D: KLT
+    landmarks, image = _measured(followed, frame, memory, prior, camera, config)  # III-D: a_l, S_l
+    T_start, by_landmarks = _start(prior, image, config)
+    depth = _depth_term(T_start, by_landmarks, cloud, frame, memory, gaussians, camera, config)
+    search_m = settings.radius_m if by_landmarks else settings.guess_radius_m
+    found = register(T_start, depth, image, config, search_m)  # III-E: joint LM
+    if found.overlap < _SUSPICIOUS * memory.overlap and by_landmarks:  # misled by the landmarks?
+        other = register(prior.T_world_cam, depth, image, config, settings.guess_radius_m)
+        found = max(found, other, key=lambda result: result.overlap)
+    T = found.T_world_cam
+    return Estimate(
+        RegisteredFrame(frame, T, memory.depth_motion(frame, T), grey), found, landmarks
+    )
+
+
+def uses_landmarks(config: Config) -> bool:
+    """Return whether the ablation has an image residual."""
+    return config.ablation in _LANDMARK_ABLATIONS
+
+
+def to_grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an RGB image (H, W, 3), or one that is grey already, as grey (H, W)."""
+    return color if color.ndim == 2 else np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
+
+
+def sample(frame: RgbdFrame, camera: PinholeCamera, config: Config, stride_px: int) -> FrameCloud:
+    """Sample the depth image in cells of `stride_px`; the same stamp gives the same pixels."""
+    return sample_cloud(
+        frame.depth_m, camera.undistortion_map, config.cloud, config.sensor, stride_px,
+        frame.stamp_ns % _SEEDS,
+    )  # fmt: skip
+
+
+def _followed(
+    grey: NDArray[np.uint8],
+    memory: Memory,
+    prior: PosePrior,
+    camera: PinholeCamera,
+    config: Config,
+) -> Landmarks:
+    """Follow the landmarks from the last view into the image."""
+    last = memory.last
+    if last is None or not uses_landmarks(config):
+        return memory.landmarks
+    return memory.landmarks.followed(
+        last.grey, grey, last.T_world_cam, prior.T_world_cam, camera, config.landmarks
+    )
+
+
+def _measured(
+    landmarks: Landmarks,
+    frame: RgbdFrame,
+    memory: Memory,
+    prior: PosePrior,
+    camera: PinholeCamera,
+    config: Config,
+) -> tuple[Landmarks, PointFactors | None]:
+    """Give the landmarks their depth; return those that have one, and their factors if any."""
+    if not len(landmarks):
+        return landmarks, None
+    T = prior.T_world_cam
+    weight = config.shared_klt_weight if config.ablation == 'shared_klt' else 1.0
+    landmarks, image = landmarks.measured(
+        frame.depth_m, T, memory.depth_motion(frame, T), camera, config.sensor, config.landmarks,
+        weight,
+    )  # fmt: skip
+    return landmarks, image if len(landmarks) else None
+
+
+def _start(
+    prior: PosePrior, image: PointFactors | None, config: Config
+) -> tuple[NDArray[np.float64], bool]:
+    """Return the pose (4, 4) to start from, and whether it is one by enough landmarks."""
+    if image is None or len(image.points) < config.landmarks.min_start:
+        return prior.T_world_cam, False
+    return start_from_landmarks(prior, image), True
+
+
+def _depth_term(
+    T_start: NDArray[np.float64],
+    by_landmarks: bool,
+    cloud: FrameCloud,
+    frame: RgbdFrame,
+    memory: Memory,
+    gaussians: GaussianMap,
+    camera: PinholeCamera,
+    config: Config,
+) -> DepthTerm:
+    """Bring the cloud to the colour's instant, III-B and III-C: D_i, and Sigma_t of its targets.
+
+    The motion in between is uncertain, which limits what all the points say together. Where the
+    start is a mere prediction the depth has to find the pose by itself, unlimited.
+    """
+    Q = None
+    if by_landmarks:
+        Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
+    moved = cloud.moved(memory.depth_motion(frame, T_start))
+    return DepthTerm(moved, gaussians, camera.focal, config, Q)

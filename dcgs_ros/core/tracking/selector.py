@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which frames the mapper gets to see."""
+
+from __future__ import annotations
+
+from ..frame import RgbdFrame
+from ..keyframe import PosedFrame
+from .tracker import TrackingState, TrackResult
+
+
+class KeyframeSelector:
+    """Selects the tracker's keyframes, and every `interval`-th frame between them as a view."""
+
+    def __init__(self, interval: int) -> None:
+        """Count frames from the first on; `interval` may change at any time."""
+        self.interval = interval
+        self._since = 0  # frames since the last one that was selected
+
+    def select(self, frame: RgbdFrame, result: TrackResult) -> list[PosedFrame]:
+        """Return what the mapper should get now that this frame is tracked, oldest first."""
+        selected: list[PosedFrame] = list(result.keyframes)
+        if result.state is not TrackingState.LOST:
+            self._since += 1
+            if not result.keyframe and self._since >= self.interval:
+                view = PosedFrame(frame, result.T_world_cam, result.T_cam_cam_at_depth)
+                selected.append(view)
+        if selected or result.keyframe:
+            self._since = 0
+        return selected

@@ -136,6 +136,20 @@ class SplatTable:
         old = {name: column[..., : self._count] for name, column in self._columns.items()}
         self._replace(self._count + len(ids), old, new)
 
+    def anchor(self, T_map_tracked: NDArray[np.float64]) -> None:
+        """Move the anchors with the views, and the means to within their reach of them.
+
+        `T_map_tracked` (K, 4, 4) takes, for each host, the tracker's world to the mapper's.
+        """
+        T = T_map_tracked[self.hosts]
+        self.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], self.measured) + T[:, :3, 3].T
+        means = self.splats.means
+        moved = means - self.anchors
+        far = np.linalg.norm(moved, axis=0)
+        out = np.flatnonzero(far > self.reach_m)
+        share = self.reach_m[out] / far[out]
+        means[:, out] = self.anchors[:, out] + share * moved[:, out]
+
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Drop the Gaussians outside the mask (N,)."""
         kept = np.flatnonzero(mask)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -117,6 +118,11 @@ class KeyframeView:
         return se3.inverse(self.T_tracked) @ self.T_world_cam
 
     @property
+    def T_map_tracked(self) -> NDArray[np.float64]:
+        """(4, 4) from the tracker's world to the mapper's, as this view sees both."""
+        return self.T_world_cam @ se3.inverse(self.T_tracked)
+
+    @property
     def images(self) -> Images:
         """The images, decoded where they are compressed."""
         if self._images is not None:
@@ -180,6 +186,26 @@ class KeyframeView:
         self._moments = betas * self._moments + (1 - betas) * powers
         first, second = self._moments / (1 - betas**self._turns)
         self.T_world_cam = self.T_world_cam @ se3.exp(-rates * first / (np.sqrt(second) + 1e-12))
+
+
+def shrink_memory(views: Sequence[KeyframeView], budget: float) -> bool:
+    """Compress the oldest views until all fit into `budget` bytes.
+
+    If that is not enough, every second one of the older views gives up its images. Return
+    whether some did.
+    """
+    held = sum(view.bytes for view in views)
+    for view in views:
+        if held <= budget:
+            return False
+        held -= view.bytes
+        view.compress()
+        held += view.bytes
+    if held <= budget:
+        return False
+    for view in [view for view in views[:-1] if view.active][1::2]:
+        view.retire()
+    return True
 
 
 def _encode(suffix: str, image: NDArray, options: list[int]) -> bytes:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper: makes the Gaussians look like the keyframes, by Sigma_r, opacity and colour."""
+"""The mapper: optimises the Gaussians so that their renderings look like the keyframes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ from ..kernels.workers import Workers
 from ..render.renderer import Renderer, Rendering, View
 from . import exposure
 from .corrections import Corrections
-from .losses import Exposure, ImageLoss, Target
+from .exposure import Exposure
+from .losses import ImageLoss, Target
+from .rectification import Images, Rectifier
 from .seeding import Surface
 from .splat_table import SplatTable
 from .splats import SH_C0, Splats
 from .strategy import DefaultDensification, Densification, Observation
 from .view_choice import COARSE, ViewScheduler
-from .views import Images, KeyframeView, Rectifier, shrink_memory
+from .views import KeyframeView, shrink_memory
 
 _EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
 
@@ -55,7 +57,7 @@ class MapUpdate:
 
 
 class MapperError(DcgsError):
-    """What the mapper was given, or asked for, cannot be."""
+    """A keyframe that the mapper cannot use, or a step without keyframes."""
 
 
 class Mapper:
@@ -138,7 +140,7 @@ class Mapper:
     def _spawn(
         self, keyframe: Keyframe, view: KeyframeView, images: Images, rendering: Rendering
     ) -> None:
-        """Add the Gaussians that the strategy makes of a keyframe, up to the largest number."""
+        """Add the Gaussians that the strategy makes of a keyframe, up to `max_gaussians`."""
         config = self.config.mapping
         keyframe = self._news(keyframe)
         camera = View.of(self.camera, view.T_world_cam)
@@ -222,7 +224,7 @@ class Mapper:
 
     def _exposed(self, view: KeyframeView, rendering: Rendering, target: Target) -> Exposure:
         share = self.config.mapping.exposure_share
-        return exposure.fitted(rendering, target, view.exposure, share)
+        return exposure.fitted(rendering, target.color, target.valid, view.exposure, share)
 
     def _rates(self, rate: float) -> NDArray[np.float32]:
         r = self.config.rates
@@ -243,7 +245,7 @@ class Mapper:
             table.keep(keep)
 
     def update(self) -> MapUpdate:
-        """Tell the tracker what changed since the last time."""
+        """Return what changed of the tracker's Gaussians since the last call."""
         columns = self.table.report()
         finite = np.isfinite(self.table.planes[:, columns]).all(axis=0)
         columns = columns[finite]
@@ -256,10 +258,10 @@ class Mapper:
     def _seen_by_tracker(
         self, columns: NDArray[np.int64], normals: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Means and normals (K, 3) in the tracker's world.
+        """Return means and normals (K, 3) in the tracker's world.
 
-        The poses of the views are refined here, not there: what goes back is how far a Gaussian
-        has come from where its host saw it.
+        The refined poses of the views stay in the mapper: a mean is given by its motion from where
+        its host view saw it.
         """
         table = self.table
         turns = [v.T_tracked[:3, :3] @ v.T_world_cam[:3, :3].T for v in self.views]
@@ -270,24 +272,22 @@ class Mapper:
         return means.astype(np.float32), turned.astype(np.float32)
 
     def _center_exposures(self) -> None:
-        """Make the mean exposure none at all, and give what it was to the map's colours.
+        """Move the mean exposure of all views into the map's colours.
 
-        What every view shows stays the same; without exposures the map is then right on average.
+        What every view shows stays the same, and the map without exposures is right on average.
         """
-        gain = np.mean([view.exposure.gain for view in self.views], axis=0)
-        offset = np.mean([view.exposure.offset for view in self.views], axis=0)
-        self.table.recolor(Exposure(gain, offset))
+        common = exposure.mean([view.exposure for view in self.views])
+        self.table.recolor(common)
         for view in self.views:
-            left = view.exposure.gain / gain
-            view.exposure = Exposure(left, view.exposure.offset - left * offset)
+            view.exposure = view.exposure.relative_to(common)
 
     def render(self, T_world_cam: NDArray[np.float64]) -> Rendering:
-        """Show the map from a pose in the mapper's world."""
+        """Return an image of the map from a pose (4, 4) in the mapper's world."""
         return self._renderer.render(self.table.planes, View.of(self.camera, T_world_cam))
 
     def corrections(self) -> Corrections:
-        """Give what was refined of the views, to be carried over to the frames between."""
-        views = sorted(self.views, key=lambda view: view.stamp_ns)  # some may have come late
+        """Return the refined poses and exposures, to be interpolated to the other frames."""
+        views = sorted(self.views, key=lambda view: view.stamp_ns)  # some may arrive late
         return Corrections(
             np.array([view.stamp_ns for view in views], np.int64),
             np.array([view.T_tracked for view in views]),

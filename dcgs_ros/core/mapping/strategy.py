@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from ..config.stages import Config
 from ..render.renderer import Rendering, View
-from .losses import Exposure
+from .exposure import Exposure
+from .rectification import Images
 from .seeding import Surface, discs, lacking
 from .splat_table import SplatTable
 from .splats import Splats
-from .views import Images, KeyframeView
+from .views import KeyframeView
 
 
 @dataclass(frozen=True)

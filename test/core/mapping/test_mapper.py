@@ -20,7 +20,7 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 from dcgs_ros.core.mapping.mapper import Keyframe, Mapper
 from dcgs_ros.core.render.cpu import CpuRenderer
 

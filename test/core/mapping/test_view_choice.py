@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from dcgs_ros.core.config.stages import MappingConfig
+from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.view_choice import COARSE, ViewScheduler
-from dcgs_ros.core.mapping.views import Images, KeyframeView
+from dcgs_ros.core.mapping.views import KeyframeView
 
 IMAGES = Images(np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.uint16))
 

@@ -54,9 +54,7 @@ class KeyframePolicy:
         c = self.config
         self._overlap = max(self._overlap, overlap)
         seen = overlap / (c.overlap * max(self._overlap, 1e-9))
-        few = (
-            self._landmarks < c.min_landmarks
-        )  # no corners there: a keyframe is no help
+        few = self._landmarks < c.min_landmarks  # no corners there: a keyframe is no help
         kept = 1.0 if few else landmarks / (c.landmarks * self._landmarks)
         if min(seen, kept) < _URGENT:
             return True

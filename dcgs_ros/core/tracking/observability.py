@@ -21,9 +21,7 @@ class Observability:
     """
 
     eigenvalues: NDArray[np.floating]  # (6,) of H, ascending
-    weakest: NDArray[
-        np.floating
-    ]  # (6,) unit eigenvector of the smallest one without radius
+    weakest: NDArray[np.floating]  # (6,) unit eigenvector of the smallest one without radius
     kappa: float
     kappa_without_radius: float
     kappa_rotation: float

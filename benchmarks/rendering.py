@@ -31,8 +31,9 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.mapping.losses import ImageLoss
 from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.rectification import Rectifier
 from dcgs_ros.core.mapping.splats import PLANES
-from dcgs_ros.core.mapping.views import KeyframeView, Rectifier
+from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import View
 from dcgs_ros.evaluation.host import machine

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.mapping.corrections import Corrections
-from ..core.mapping.losses import Exposure
+from ..core.mapping.exposure import Exposure
 from ..core.render.renderer import Renderer, Rendering, View
 from ..io.map_archive import MapFileError, SavedMap
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from ..core.frame import RgbdFrame
-from ..core.mapping.views import Rectifier
+from ..core.mapping.rectification import Rectifier
 from ..core.render.renderer import Renderer
 from ..core.trajectory import Trajectory
 from ..datasets.prefetch import prefetch_frames

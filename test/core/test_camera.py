@@ -64,7 +64,7 @@ def test_undistort_undoes_opencv(camera: PinholeCamera) -> None:
 
 
 def test_project_undoes_undistort(camera: PinholeCamera) -> None:
-    u, v = np.meshgrid(np.arange(0, camera.width, 7), np.arange(0, camera.height, 5))
+    u, v = np.meshgrid(np.arange(0.0, camera.width, 7), np.arange(0.0, camera.height, 5))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
     rays = camera.undistort(pixels)
     lifted = 2.5 * np.column_stack([rays, np.ones(len(rays))])

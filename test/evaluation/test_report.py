@@ -55,7 +55,7 @@ def tracked(
         inliers=90,
         landmarks=10,
         keyframe=keyframe,
-        spawned=np.empty(0, np.int64),
+        keyframes=(),
         colour_depth_offset_ms=0.1 * index,
     )
     return TrackedFrame(index, result, seconds, gaussians=1000 * index)

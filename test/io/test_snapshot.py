@@ -15,8 +15,9 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.splats import Splats
-from dcgs_ros.core.mapping.views import Images, KeyframeView
+from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.io.map_archive import read_map, write_map

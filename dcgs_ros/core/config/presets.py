@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Settings that go together: `--online` and `--quality`."""
+"""Groups of settings: `--online` and `--quality`."""
 
 from __future__ import annotations
 
-# What changes where the mapper runs free: the clock leaves fewer steps, so fewer views share them,
-# and more of them are coarse.
+# With `--online` the mapper has time for fewer steps: they are spent on fewer views, and more of
+# them are coarse.
 ONLINE: dict[str, float] = {'mapping.view_interval': 6, 'mapping.coarse_share': 0.8}
 
 QUALITIES: dict[str, dict[str, float]] = {

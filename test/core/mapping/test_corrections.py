@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.mapping.corrections import Corrections
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 
 EXACT = 1e-12
 FLOAT32 = 1e-6

@@ -21,7 +21,7 @@ from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.keyframe import Keyframe
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.render.cpu import CpuRenderer
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dcgs_ros.core import se3
 from dcgs_ros.core.config.stages import MappingConfig
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
+from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.seeding import Surface, discs, lacking
 from dcgs_ros.core.mapping.splats import SH_C0, Splats
-from dcgs_ros.core.mapping.views import Images
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import Rendering, View
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch.optim.adam import adam
 
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 from dcgs_ros.core.mapping.splat_table import SplatTable
 from dcgs_ros.core.mapping.splats import PLANES, SH_C0, Splats
 from dcgs_ros.core.render.cpu import CpuRenderer

@@ -14,8 +14,9 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
-from dcgs_ros.core.mapping.views import Images, KeyframeView, Rectifier
+from dcgs_ros.core.mapping.exposure import Exposure
+from dcgs_ros.core.mapping.rectification import Images, Rectifier
+from dcgs_ros.core.mapping.views import KeyframeView
 
 UNIT_M = 5e-4
 HALF_UNIT_M = 0.5 * UNIT_M + 1e-6

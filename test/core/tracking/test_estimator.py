@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
 from dcgs_ros.core.tracking.factors import Targets
+from dcgs_ros.core.tracking.landmarks import Landmarks
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
@@ -67,7 +69,7 @@ def state() -> bytes:
     made = tracker()
     memory, gaussians = made._memory, made.gaussians
     assert memory.last is not None
-    arrays = [
+    arrays: list[NDArray[Any]] = [
         memory.motion.T_world_cam, memory.motion.twist, memory.last.grey, memory.last.T_world_cam,
         memory.last.T_cam_cam_at_depth, memory.last.frame.depth_m, memory.landmarks.pixels,
         memory.landmarks.targets.points, gaussians.means, gaussians.normals, gaussians.viewpoints,
@@ -124,7 +126,7 @@ def test_a_landmark_that_contradicts_the_pose_is_told_from_those_that_do_not() -
 def test_all_are_kept_where_there_is_no_image_residual() -> None:
     made = tracker()
     config = replace(made.config, ablation='sigma_t')
-    bare = replace(made._memory, landmarks=made.landmarks[:0])
+    bare = replace(made._memory, landmarks=Landmarks.none())
     found = estimate(frames()[SEEN], bare, made.gaussians, made.camera, config)
     assert found.registration.image is None and len(found.consistent_landmarks(1.0)) == 0
     assert found.is_trusted(config)

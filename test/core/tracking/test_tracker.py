@@ -399,7 +399,7 @@ def update(
 
 def test_an_answer_reshapes_and_removes_but_moves_nothing() -> None:
     tracker = tracker_for(source_of(IDEAL))
-    means, normals = np.ones((9, 3), np.float32), np.tile(np.float32([0, 0, -1]), (9, 1))
+    means, normals = np.ones((9, 3), np.float32), np.tile(np.array([0, 0, -1], np.float32), (9, 1))
     tracker.gaussians.add(means, normals, np.zeros(9, np.float32), np.zeros(3), 0)
     before = tracker.gaussians.means.copy()
     ids, gone = np.array([7, 1, 4], np.int64), np.array([0, 4, 99], np.int64)

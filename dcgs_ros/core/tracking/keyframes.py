@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..camera import PinholeCamera
-from ..config.stages import KeyframeConfig
+from ..config.stages import Config, KeyframeConfig
 from ..sensor import SensorNoise
 from .cloud import FrameCloud
+from .estimator import RegisteredFrame, sample
 from .gaussian_map import GaussianMap
 
 _CONFIRM_SIGMAS = 3.0 * np.sqrt(2.0)  # largest difference of two measurements of a surface
@@ -64,6 +65,27 @@ class KeyframePolicy:
         far = np.linalg.norm(moved[:3]) > c.translation_m
         turned = np.linalg.norm(moved[3:]) > c.rotation_rad
         return bool(far or turned or seen < 1.0 or kept < 1.0)
+
+
+def candidates(
+    registered: RegisteredFrame,
+    last: RegisteredFrame | None,
+    camera: PinholeCamera,
+    config: Config,
+) -> FrameCloud:
+    """Sample the points that a keyframe may spawn, in the camera frame at the depth's instant.
+
+    Only those remain that the depth of the `last` frame, if there is one, confirms.
+    """
+    frame, settings = registered.frame, config.keyframes
+    cloud = sample(frame, camera, config, settings.spawn_stride_px)
+    cloud = thinned(cloud, settings.spawn_min_m)
+    if last is None:
+        return cloud
+    T_last_now = se3.inverse(last.T_world_cam @ last.T_cam_cam_at_depth) @ (
+        registered.T_world_cam @ registered.T_cam_cam_at_depth
+    )
+    return confirmed(cloud, T_last_now, last.frame.depth_m, camera, config.sensor)
 
 
 def spawn(

@@ -35,7 +35,7 @@ FIRST_OPACITY_ROW, SCALE_ROW = 10, 3
 NO_IDS = np.empty(0, np.int64)
 
 
-def texture(points: NDArray) -> NDArray[np.float64]:
+def texture(points: NDArray[np.floating]) -> NDArray[np.float64]:
     """Colours (..., 3) of the world, none of them near black or white."""
     x, y, z = np.moveaxis(points, -1, 0)
     waves = [np.sin(18 * x) * np.cos(14 * y), np.cos(16 * x - 10 * y + z), np.sin(12 * y + 8 * x)]
@@ -43,8 +43,8 @@ def texture(points: NDArray) -> NDArray[np.float64]:
 
 
 def view_from(
-    T_world_cam: NDArray, camera: PinholeCamera = CAMERA
-) -> tuple[NDArray, NDArray, NDArray]:
+    T_world_cam: NDArray[np.float64], camera: PinholeCamera = CAMERA
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
     """Colour, depth and points (H, W, .) of two walls that meet, 1.2 m to 1.8 m away."""
     rays = np.ones((camera.height, camera.width, 3))
     rays[..., :2] = camera.undistortion_map
@@ -56,7 +56,7 @@ def view_from(
 
 
 def frame_from(
-    T_world_cam: NDArray, index: int = 0, camera: PinholeCamera = CAMERA,
+    T_world_cam: NDArray[np.float64], index: int = 0, camera: PinholeCamera = CAMERA,
     gain: float = 1.0, offset: float = 0.0,
 ) -> RgbdFrame:  # fmt: skip
     color, depth_m, _ = view_from(T_world_cam, camera)
@@ -65,7 +65,7 @@ def frame_from(
     return RgbdFrame(stamp_ns, stamp_ns, levels, depth_m.astype(np.float32))
 
 
-def normals_of(points: NDArray) -> NDArray[np.float64]:
+def normals_of(points: NDArray[np.floating]) -> NDArray[np.float64]:
     """Of the wall that each point is on, towards the origin."""
     walls = np.array([[0.3, 0.1, 1.0], [-0.4, 0.0, 1.0]])
     chosen = walls[np.abs(points @ walls.T - 1.5).argmin(axis=1)]
@@ -73,8 +73,8 @@ def normals_of(points: NDArray) -> NDArray[np.float64]:
 
 
 def keyframe_from(
-    T_world_cam: NDArray, index: int = 0, first_id: int | None = 0,
-    T_tracked: NDArray | None = None, **look: Any,
+    T_world_cam: NDArray[np.float64], index: int = 0, first_id: int | None = 0,
+    T_tracked: NDArray[np.float64] | None = None, **look: Any,
 ) -> Keyframe:  # fmt: skip
     """Keyframe as tracked, its Gaussians on a grid; None spawns none."""
     tracked = T_world_cam if T_tracked is None else T_tracked
@@ -117,7 +117,7 @@ def filled(count: int = 3, look: Sequence[dict[str, Any]] = (), **settings: Any)
     return mapper
 
 
-def psnr(mapper: Mapper, T_world_cam: NDArray, truth: NDArray) -> float:
+def psnr(mapper: Mapper, T_world_cam: NDArray[np.float64], truth: NDArray[np.floating]) -> float:
     error = np.moveaxis(mapper.render(T_world_cam).color, 0, -1) - truth
     return float(-10 * np.log10(np.mean(error**2)))
 
@@ -187,7 +187,7 @@ def test_through_a_lens_the_map_is_the_same_world() -> None:
     assert -10 * np.log10(np.mean((shown - truth)[inner] ** 2)) > GOOD_DB
 
 
-def displacement_px(T_world_cam: NDArray, T_true: NDArray) -> float:
+def displacement_px(T_world_cam: NDArray[np.float64], T_true: NDArray[np.float64]) -> float:
     """How far the image is from where it belongs: turns and shifts make up for each other."""
     points = view_from(T_true)[2].reshape(-1, 3)
     seen = [
@@ -253,7 +253,7 @@ def test_what_views_show_does_not_change_when_exposures_are_centred() -> None:
         gain, offset = rng.uniform(0.8, 1.3, 3), rng.normal(0, 0.1, 3)
         view.exposure = Exposure(gain.astype(np.float32), offset.astype(np.float32))
 
-    def shown() -> list[NDArray]:
+    def shown() -> list[NDArray[np.floating]]:
         return [
             v.exposure.gain[:, None] * r.color[:, r.transmittance < 1e-3]
             + v.exposure.offset[:, None]

@@ -66,7 +66,7 @@ def fitted(
     """Return a share of the exposure that fits the rendering to the view by least squares.
 
     With the whole of it the map would show colours that no camera had, and look worse without
-    exposures. The channels that have too few pixels to compare are those of `before`.
+    exposures. Channels with too few pixels to compare keep `before`.
     """
     fit = np.full((2, 3), np.nan, np.float32)
     _fit(rendering.planes, color, valid, before.gain, before.offset, fit)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper on a textured plane: what it learns, what it drops, what it tells the tracker."""
+"""The mapper on textured walls: what it learns, what it removes, what it reports."""
 
 from __future__ import annotations
 
@@ -341,7 +341,7 @@ def test_pruning_happens_by_itself_at_its_interval() -> None:
 
 
 def test_a_poisoned_gaussian_spoils_nothing_else() -> None:
-    """Neither another's parameters nor a pose, however long nobody prunes."""
+    """Neither another's parameters nor a pose, even if it is never pruned."""
     mapper = filled(2, mapping__prune_interval=100_000)
     clean = filled(2, mapping__prune_interval=100_000)
     for k, garbage in enumerate([np.nan, np.inf, -np.inf] * 5):
@@ -489,7 +489,7 @@ def test_gaussians_that_are_here_already_stay_with_the_keyframe_they_came_with()
         name: np.concatenate([getattr(there, name), getattr(keyframe, name)])[order]
         for name in ('ids', 'means', 'normals')
     }
-    both['means'][np.isin(both['ids'], there.ids)] += 1.0  # wherever they are now said to be
+    both['means'][np.isin(both['ids'], there.ids)] += 1.0  # their new position must be ignored
     mapper.insert(replace(keyframe, **both))
     table = mapper.table
     ids = table.ids.tolist()
@@ -551,13 +551,13 @@ def test_nothing_is_told_of_a_poisoned_gaussian_before_it_is_pruned(row: int) ->
 
 
 def test_means_leave_where_they_were_measured_by_a_share_of_the_noise_at_most(run: Run) -> None:
-    """As the host sees them: whoever is touched is brought back to within its reach."""
+    """From where the host saw them: a mean that is touched is clamped to its reach."""
     mapper = run.mapper
     before = mapper.table.visits.copy()
     for _ in range(2 * len(mapper.views)):
         mapper.step(rate=0.0, replay=True)
     table, config = mapper.table, mapper.config
-    assert len(table.visits) == len(before)  # nobody was pruned
+    assert len(table.visits) == len(before)  # none was pruned
     own = (table.ids >= 0) & (table.visits > before)
     assert own.mean() > 0.5
     moved = np.linalg.norm((table.splats.means - table.anchors)[:, own], axis=0)
@@ -668,7 +668,7 @@ def test_grey_images_give_a_grey_map() -> None:
 
 
 def test_depth_of_another_instant_is_mapped_where_it_belongs() -> None:
-    """The camera moves between depth and colour; the map's own Gaussians are none the worse."""
+    """The camera moves between depth and colour; the mapper's Gaussians are on the surface."""
     T_cam_cam_at_depth = se3.exp(np.array([0.03, 0.02, -0.02, 0.01, -0.02, 0.01]))
     then = frame_from(T_cam_cam_at_depth)
     now = frame_from(np.eye(4))

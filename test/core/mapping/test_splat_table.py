@@ -72,7 +72,7 @@ def gradients(
 
 
 def snapshot(table: SplatTable) -> dict[str, NDArray[Any]]:
-    """Copy all that a table tells of each Gaussian, by column."""
+    """Return copies of a table's columns."""
     return {
         'planes': table.splats.planes.copy(),
         'measured': table.measured.copy(),
@@ -206,7 +206,7 @@ def test_a_gaussian_that_every_step_touches_moves_as_with_torch() -> None:
 
 
 def test_a_gaussian_counts_its_own_visits_only() -> None:
-    """Whoever is touched moves as if the steps in between were none, moments and all."""
+    """A Gaussian moves as if the steps in which it was not touched had not been taken."""
     count, steps = 37, 40
     table, rng = table_of(count, seed=7), np.random.default_rng(8)
     start = table.splats.planes.copy()

@@ -102,7 +102,7 @@ def test_without_distortion_images_stay_as_they_are() -> None:
 
 @pytest.mark.parametrize('name', DISTORTIONS)
 def test_a_distorted_image_becomes_what_a_pinhole_sees(name: str) -> None:
-    """Along each ray the same colour and depth, wherever the lens has put them."""
+    """The same colour and depth along each ray, whatever the distortion."""
     camera = distorted(name)
     rectify, rays = Rectifier(camera), pinhole_rays()
     images = rectify(frame_of(camera))
@@ -155,7 +155,7 @@ def test_what_moves_before_something_else_hides_it() -> None:
     expected = np.zeros_like(near)
     expected[20:50, 30 + shift_px : 50 + shift_px] = True
     np.testing.assert_array_equal(near, expected)
-    assert not images.depth[30, 35:45].any()  # nobody saw what came out behind it
+    assert not images.depth[30, 35:45].any()  # what it uncovers was not measured
 
 
 NEARER = np.eye(4)  # pixels move apart by a third

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The CPU renderer's own matters: threads, tiles, order, limits, and input that is no good."""
+"""What only the CPU renderer does: threads, tiles, order, limits, and invalid input."""
 
 from __future__ import annotations
 
@@ -347,7 +347,7 @@ def test_a_gradient_that_is_not_finite_touches_nobody_and_spares_the_others(
 
 @pytest.mark.parametrize('seed', range(12))
 def test_whatever_the_parameters_the_image_is_finite(renderer: CpuRenderer, seed: int) -> None:
-    """Any bits at all, and needles as long as float32 can tell, in any view."""
+    """Any bits, and needles as long as float32 can represent, in any view."""
     rng = np.random.default_rng(seed)
     for _ in range(10):
         count = int(rng.integers(1, 60))

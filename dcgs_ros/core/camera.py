@@ -37,7 +37,7 @@ class PinholeCamera:
     def __post_init__(self) -> None:
         """Check the values, which would otherwise fail later, inside a kernel."""
         if self.width < 16 or self.height < 16:
-            raise CameraError(f'image of {self.width}x{self.height} pixels is too small')
+            raise CameraError(f'image of {self.width}x{self.height} pixels is smaller than 16x16')
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(numbers)) or self.fx <= 0 or self.fy <= 0:
             raise CameraError(f'intrinsics fx fy cx cy distortion = {numbers} are not usable')

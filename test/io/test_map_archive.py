@@ -318,7 +318,7 @@ BAD_METADATA: dict[str, tuple[str, Any, str]] = {
     'a word': ('camera', CAMERA | {'fx': 'long'}, "camera is not usable: ValueError: .*'long'"),
     'beyond double': ('camera', CAMERA | {'fx': 10**400}, 'camera is not usable: OverflowError'),
     'one coefficient': ('camera', CAMERA | {'distortion': [1.0]}, 'distortion has 1 numbers'),
-    'tiny': ('camera', CAMERA | {'height': 1}, '64x1 pixels is too small'),
+    'tiny': ('camera', CAMERA | {'height': 1}, '64x1 pixels is smaller than 16x16'),
 }
 
 

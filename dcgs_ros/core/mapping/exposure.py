@@ -65,8 +65,8 @@ def fitted(
 ) -> Exposure:
     """Return a share of the exposure that fits the rendering to the view by least squares.
 
-    With the whole of it the map's colours would drift away from those of the camera, and look
-    worse without exposures. `before` is returned if too few pixels can be compared.
+    With the whole of it the map would show colours that no camera had, and look worse without
+    exposures. Channels with too few pixels to compare keep `before`.
     """
     fit = np.full((2, 3), np.nan, np.float32)
     _fit(rendering.planes, color, valid, before.gain, before.offset, fit)

@@ -76,7 +76,7 @@ class ImageLoss:
     ) -> None:
         """Allocate the buffers, 29 planes of the image's size; `LossError` without pixels."""
         if width < 1 or height < 1:
-            raise LossError(f'image of {width}x{height} pixels')
+            raise LossError(f'an image of {width}x{height} pixels is empty')
         self._ssim_weight, self._depth_weight = ssim_weight, depth_weight
         self._workers = workers
         self._gradient = np.zeros((5, height, width), np.float32)

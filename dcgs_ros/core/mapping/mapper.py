@@ -98,7 +98,8 @@ class Mapper:
         height, width = keyframe.frame.depth_m.shape
         if (width, height) != (self.camera.width, self.camera.height):
             raise MapperError(
-                f'image is {width}x{height}, the camera {self.camera.width}x{self.camera.height}'
+                f'the image is {width}x{height} pixels, the camera '
+                f'{self.camera.width}x{self.camera.height}'
             )
         n = len(keyframe.ids)
         if keyframe.means.shape != (n, 3) or keyframe.normals.shape != (n, 3):
@@ -131,8 +132,8 @@ class Mapper:
         planes = self._strategy.seed(seen, measured).planes
         if planes.shape[1] < len(keyframe.ids):
             raise MapperError(
-                f'the strategy made {planes.shape[1]} Gaussians of the {len(keyframe.ids)} that '
-                f'the tracker spawned'
+                f'the strategy returned {planes.shape[1]} Gaussians, fewer than the '
+                f'{len(keyframe.ids)} that the tracker spawned'
             )
         own_points = np.ascontiguousarray(planes[:3, len(keyframe.ids) :].T)
         own_ids = self._next_own_id - np.arange(len(own_points), dtype=np.int64)
@@ -175,7 +176,7 @@ class Mapper:
         Raises `MapperError` before the first keyframe.
         """
         if not self.views:
-            raise MapperError('there is no keyframe to optimise for yet')
+            raise MapperError('no step without a keyframe: insert one first')
         view, shrink = self._scheduler.choose(self.views, replay)
         target = view.target(self._rectify.valid, shrink, self._workers)
         camera = View.of(self.camera, view.T_world_cam, shrink)

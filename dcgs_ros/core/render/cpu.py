@@ -79,7 +79,7 @@ class CpuRenderer:
     def backward(self, gradient: NDArray[np.float32]) -> Gradients:
         """Return the derivatives, given dL / d planes (5, H, W) of the last rendering."""
         if self._image is None:
-            raise RenderError('there is no rendering yet to derive')
+            raise RenderError('nothing to derive: call render first')
         if gradient.shape != self._image.shape or gradient.dtype != np.float32:
             raise RenderError(
                 f'gradient is {gradient.dtype} {gradient.shape}, not float32 {self._image.shape}'

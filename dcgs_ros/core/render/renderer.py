@@ -49,7 +49,7 @@ class View:
     def __post_init__(self) -> None:
         """Check that an image can be rendered."""
         if self.width < 1 or self.height < 1:
-            raise RenderError(f'image of {self.width}x{self.height} pixels')
+            raise RenderError(f'an image of {self.width}x{self.height} pixels is empty')
         numbers = (self.fx, self.fy, self.cx, self.cy)
         if not np.all(np.isfinite(numbers)) or self.fx <= 0 or self.fy <= 0:
             raise RenderError(f'intrinsics fx fy cx cy = {numbers} are not usable')

@@ -22,7 +22,7 @@ UNITS = {
     '_m': 'metre',
     '_per_m': '1/metre',
     '_rad': 'radian',
-    '_rad_s': 'radians a second',
+    '_rad_s': 'radians per second',
     '_px': 'pixel',
     '_s': 'second',
     '_ms': 'millisecond',

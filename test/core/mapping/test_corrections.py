@@ -47,7 +47,9 @@ def corrections() -> Corrections:
     return Corrections(STAMPS_NS, TRACKED, REFINED, EXPOSURES)
 
 
-def assert_exposure(found: Exposure, gain: NDArray, offset: NDArray) -> None:
+def assert_exposure(
+    found: Exposure, gain: NDArray[np.floating], offset: NDArray[np.floating]
+) -> None:
     np.testing.assert_allclose(found.gain, gain, atol=FLOAT32)
     np.testing.assert_allclose(found.offset, offset, atol=FLOAT32)
     assert found.gain.dtype == found.offset.dtype == np.float32

@@ -119,7 +119,7 @@ def reference(
     return loss.item(), planes.grad.numpy()
 
 
-def relative(found: NDArray, expected: NDArray) -> float:
+def relative(found: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
     """Relative L2 error."""
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 

@@ -82,7 +82,7 @@ def write_icl_nuim(folder: Path, numbers: Sequence[int], truth: str | None) -> P
     return folder
 
 
-def write_described(folder: Path, text: str, colors: Sequence[str], depths: Sequence[str]) -> Path:
+def write_custom(folder: Path, text: str, colors: Sequence[str], depths: Sequence[str]) -> Path:
     """Images of these names: colour `color_of(k)`, depth k + 1 m in millimetres."""
     for k, name in enumerate(colors):
         write_image(folder / name, color_of(k))

@@ -76,7 +76,7 @@ def as_tum(folder: Path, walk: Walk) -> Written:
     return folder, ('--camera', INTRINSICS)
 
 
-def as_described(folder: Path, walk: Walk) -> Written:
+def as_custom(folder: Path, walk: Walk) -> Written:
     as_tum(folder, walk)
     (folder / 'dcgs.yaml').write_text(
         f'camera: {{width: {CAMERA.width}, height: {CAMERA.height}, fx: {CAMERA.fx}, '
@@ -152,7 +152,7 @@ def as_ros1(folder: Path, walk: Walk) -> Written:
 
 
 WRITERS: list[Callable[[Path, Walk], Written]] = [
-    as_tum, as_described, as_replica, as_scannet, as_icl_nuim, as_rosbag2, as_ros1,
+    as_tum, as_custom, as_replica, as_scannet, as_icl_nuim, as_rosbag2, as_ros1,
 ]  # fmt: skip
 
 

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.sensor import SensorNoise
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.icl_nuim import is_icl_nuim, mirrored, open_icl_nuim
-from dcgs_ros.datasets.images.indexed_frames import stamp_of
+from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
 from dcgs_ros.datasets.source import SourceError
 
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images
@@ -36,7 +36,7 @@ def test_frames_are_what_was_written(living_room: Path) -> None:
     source = open_icl_nuim(living_room, SMALL)
     assert source.sensor == PRESETS['icl_nuim'].sensor
     for k, frame in enumerate(folders.good_frames(source)):
-        assert frame.stamp_ns == frame.depth_stamp_ns == stamp_of(k)
+        assert frame.stamp_ns == frame.depth_stamp_ns == stamp_of_index(k)
         np.testing.assert_array_equal(frame.color, folders.color_of(k))
         np.testing.assert_allclose(frame.depth_m, 1 + 0.1 * k, atol=FLOAT32_STEP)
 
@@ -44,7 +44,7 @@ def test_frames_are_what_was_written(living_room: Path) -> None:
 def test_truth_goes_with_the_frames_of_its_numbers(living_room: Path) -> None:
     truth = open_icl_nuim(living_room).groundtruth
     assert truth is not None
-    assert truth.stamps_ns.tolist() == [stamp_of(1), stamp_of(2), stamp_of(4)]
+    assert truth.stamps_ns.tolist() == [stamp_of_index(1), stamp_of_index(2), stamp_of_index(4)]
     np.testing.assert_allclose(truth.T_world_cam[0, :3, 3], [0, 0, -2.25])
     np.testing.assert_allclose(truth.T_world_cam[1, :3, 3], [0.1, -0.2, -2.25])  # y down
 
@@ -130,8 +130,8 @@ def test_two_truths_are_one_too_many(living_room: Path) -> None:
         ('5 depth/5.png', 'txt:6: 2 columns'),
         ('3 depth/3.png 3 rgb/3.png', 'txt:6: stamp 3.0* comes after'),
         ('5 ../5.png 5 rgb/5.png', 'txt:6: .*leads out'),
-        ('5 depth/\0.png 5 rgb/5.png', 'txt:6: .*no path'),
-        ('5.5 depth/5.png 6 rgb/5.png', 'txt: 5.5 is no frame number'),
+        ('5 depth/\0.png 5 rgb/5.png', 'txt:6: .*not a path'),
+        ('5.5 depth/5.png 6 rgb/5.png', 'txt: 5.5 is not a frame number'),
         ('1e300 depth/5.png 6 rgb/5.png', 'txt:6: .*no usable time'),
     ],
 )

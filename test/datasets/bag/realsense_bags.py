@@ -31,7 +31,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 
 DEPTH_CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 31.0, 23.0)
-T_COLOR_DEPTH = se3.exp(np.array([0.015, -0.002, 0.001, 0.01, -0.02, 0.03]))
+T_COLORCAM_DEPTHCAM = se3.exp(np.array([0.015, -0.002, 0.001, 0.01, -0.02, 0.03]))
 UNALIGNED = '/camera/camera/depth/image_rect_raw'
 DEPTH_INFO = '/camera/camera/depth/camera_info'
 DEPTH_OPTICAL = 'camera_depth_optical_frame'
@@ -146,7 +146,7 @@ def viewer(
     frames: int, camera: PinholeCamera, T_color_ref: np.ndarray, units_m: float = 0.001
 ) -> Iterator[Entry]:
     """RealSense Viewer's topics; the depth sensor is `DEPTH_CAMERA`, turned from the reference."""
-    T_depth_ref = se3.inverse(T_COLOR_DEPTH) @ T_color_ref
+    T_depth_ref = se3.inverse(T_COLORCAM_DEPTHCAM) @ T_color_ref
     for stream, T in ((VIEWER_COLOR, T_color_ref), (VIEWER_DEPTH, T_depth_ref)):
         name = 'geometry_msgs/msg/Transform'
         yield entry_of(f'{stream}/tf/0', name, START_NS, _transform(T))

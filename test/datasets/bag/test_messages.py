@@ -43,16 +43,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from dcgs_ros.datasets.bag.messages import (
-    EXTRINSICS,
-    IMAGE,
-    RawMessage,
-    custom_data,
-    decode,
-    is_bag,
-    raw_messages,
-    topic_types,
-)
+from dcgs_ros.datasets.bag.messages import EXTRINSICS, IMAGE, RawMessage, decode
+from dcgs_ros.datasets.bag.recording import custom_data, raw_messages, topic_types
+from dcgs_ros.datasets.bag.storage.files import is_bag
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.io.ros_images import MessageError
 

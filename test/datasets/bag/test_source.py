@@ -38,9 +38,10 @@ from bags import (  # type: ignore[import-not-found]
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.trajectory import Trajectory
-from dcgs_ros.datasets.bag.messages import raw_messages, read_header, with_stamp
+from dcgs_ros.datasets.bag.messages import read_header, with_stamp
+from dcgs_ros.datasets.bag.recording import raw_messages
 from dcgs_ros.datasets.bag.source import BagSource
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import BadFrame, SourceError
 from dcgs_ros.io.ros_images import MessageError
@@ -276,7 +277,7 @@ def test_memory_does_not_grow_with_the_recording(bag: Bag, apart: bool) -> None:
 def test_without_rosbags_it_is_said_what_to_install(bag: Bag) -> None:
     code = (
         'import sys; sys.modules["rosbags"] = None\n'
-        'from dcgs_ros.datasets.bag import BagSource\n'
+        'from dcgs_ros.datasets.bag.source import BagSource\n'
         f'BagSource({str(bag())!r})'
     )
     run = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import FrameError
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.depth_registration import register_depth
 
 LENS = (0.1, -0.2, 0.001, 0.002, 0.05)

@@ -222,7 +222,7 @@ BAD_HEADERS = {
     'version': (0, struct.pack('<I', 3), 'version 3'),
     'name': (4, struct.pack('<Q', 2**64 - 1), 'a name of 18446744073709551615 bytes'),
     'intrinsics': (27, struct.pack('<f', np.nan), 'colour: intrinsics'),
-    'extrinsics': (27 + 64, struct.pack('<f', 2.0), 'extrinsics of colour .* no rigid motion'),
+    'extrinsics': (27 + 64, struct.pack('<f', 2.0), 'extrinsics of colour .* not a rigid motion'),
     'colour type': (HEADER_BYTES - 36, struct.pack('<i', 3), 'compressions 3, 1'),
     'occi': (HEADER_BYTES - 32, struct.pack('<i', OCCI), 'OCCI'),
     'colour width': (HEADER_BYTES - 28, struct.pack('<I', 2**32 - 1), '4294967295x97 and 64x48'),

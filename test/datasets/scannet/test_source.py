@@ -27,11 +27,11 @@ from scannets import (  # type: ignore[import-not-found]
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.color_resampling import color_resampling
 from dcgs_ros.datasets.images.depth_registration import register_depth
 from dcgs_ros.datasets.images.sequence import ImageSequence
-from dcgs_ros.datasets.poses import are_rigid, rigid_trajectory
+from dcgs_ros.datasets.parsing.pose_matrices import are_rigid, rigid_trajectory
 from dcgs_ros.datasets.scannet.source import LAYOUT, is_scannet, open_scannet
 from dcgs_ros.datasets.source import BadFrame, Source, SourceError
 
@@ -263,7 +263,7 @@ BAD_FILES = {
     'binary': ('intrinsic_depth.txt', '\0\xff' * 9, '1 numbers, not the 16'),
     'endless': ('intrinsic_depth.txt', '1 ' * 100_000, '200000 bytes, more than'),
     'not finite': ('intrinsic_depth.txt', 'nan ' * 16, 'not usable'),
-    'moved': ('extrinsic_depth.txt', '3 ' * 16, 'no rigid motion'),
+    'moved': ('extrinsic_depth.txt', '3 ' * 16, 'not a rigid motion'),
     'another scale': (
         'intrinsic_depth.txt',
         '0.5 0 32 0 0 0.5 24 0 0 0 1 0 0 0 0 1',

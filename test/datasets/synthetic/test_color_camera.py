@@ -7,7 +7,7 @@ import pytest
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.datasets.synthetic.color_camera import AutoExposure, expose
-from dcgs_ros.datasets.synthetic.raycast import CastView
+from dcgs_ros.datasets.synthetic.raycast import SceneView
 
 CAMERA = PinholeCamera(320, 240, 262.0, 262.0, 159.5, 119.5)
 DEPTH_M = 2.0
@@ -16,7 +16,7 @@ DEPTH_M = 2.0
 def view_of(radiance):
     """A wall at constant depth."""
     shape = radiance.shape[:2]
-    return CastView(np.full(shape, DEPTH_M, np.float32), np.ones(shape, np.float32), radiance)
+    return SceneView(np.full(shape, DEPTH_M, np.float32), np.ones(shape, np.float32), radiance)
 
 
 def striped(period_px):

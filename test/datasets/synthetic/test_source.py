@@ -122,8 +122,8 @@ def test_depth_is_taken_at_its_stamp_plus_the_offset(sensor):
     assert offset_ns != 0
     errors = []
     for stamp_ns in (frame.depth_stamp_ns + offset_ns, frame.depth_stamp_ns, frame.stamp_ns):
-        scene, pose = source._stage.scene, source.pose(stamp_ns)
-        true = cast(scene, build_textures(), source.camera, pose, colour=False).depth_m
+        scene, pose = source._scenario.scene, source.pose(stamp_ns)
+        true = cast(scene, build_textures(), source.camera, pose, color=False).depth_m
         valid = (frame.depth_m > 0) & (true > 0)
         errors.append(np.median(np.abs(frame.depth_m - true)[valid]))
     assert errors[0] < 0.9 * min(errors[1:])

@@ -15,8 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.cameras import PRESETS, parse_intrinsics
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.association import MAX_PAIR_GAP_NS, associate_stamps
+from dcgs_ros.datasets.parsing.intrinsics import parse_intrinsics
 from dcgs_ros.datasets.source import BadFrame, Source, SourceError
 from dcgs_ros.datasets.tum.source import open_tum
 from dcgs_ros.io.trajectory import TrajectoryFileError
@@ -195,7 +196,7 @@ BAD_IMAGES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     'missing colour': ('rgb', Path.unlink, 'No such file'),
     'truncated': ('depth', _truncate, r'cut off after \d+ bytes'),
     'truncated colour': ('rgb', _truncate, r'cut off after \d+ bytes'),
-    'corrupt': ('depth', _flip_a_byte, 'no image'),
+    'corrupt': ('depth', _flip_a_byte, 'cannot be decoded'),
     'empty': ('depth', _empty, r'\(0 bytes\) is neither'),
     'wrong size': ('depth', _rewrite(np.ones((24, 32), np.uint16)), "32x24.*camera's.*64x48"),
     '8 bits': ('depth', _rewrite(np.ones((48, 64), np.uint8)), r'1 channel\(s\) of 8 bits'),
@@ -226,7 +227,7 @@ BAD_LINES = {
     'too large': ('1e30 rgb/9.png', 'no usable time'),
     'columns': ('101.0 rgb/9.png 3', '3 columns, not 2'),
     'parent': ('101.0 ../../secret.png', 'leads out of the dataset'),
-    'no path': ('101.0 a\0b.png', r"'a\\x00b\.png' is no path"),
+    'no path': ('101.0 a\0b.png', r"'a\\x00b\.png' is not a path"),
     'absolute': ('101.0 /etc/secret.png', 'leads out of the dataset'),
 }
 

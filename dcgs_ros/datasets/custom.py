@@ -115,7 +115,7 @@ def _load(file: Path) -> dict[str, Any]:
 
 
 def _check_map(value: object, name: str, valid: tuple[str, ...]) -> None:
-    """Raise `ValueError` if the value is not a map, or has a key that is not valid."""
+    """Check that the value is a map with valid keys only; raises `ValueError`."""
     if not isinstance(value, Mapping):
         raise ValueError(f'{name} {shown(value)}, not a map of {", ".join(valid)}')
     for unknown in value.keys() - set(valid):

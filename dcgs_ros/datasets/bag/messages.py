@@ -33,7 +33,7 @@ class RawMessage(NamedTuple):
 
     topic: str
     type: str  # package/msg/Name
-    stamp_ns: int  # when it was recorded; its header has a stamp of its own
+    stamp_ns: int  # when it was recorded; its header has another stamp
     cdr: bytes
 
 
@@ -65,7 +65,7 @@ def decode(cdr: bytes, type_: str) -> Any:
     try:
         return types.deserialize_cdr(cdr, type_)
     except Exception as error:  # SerdeError, and what rosbags does not catch
-        raise MessageError(f'{len(cdr)} bytes are no {type_}: {error}') from error
+        raise MessageError(f'{len(cdr)} bytes are not a {type_}: {error}') from error
 
 
 @cache
@@ -80,13 +80,15 @@ def message_types() -> Typestore:
 
 @contextmanager
 def as_source_error() -> Iterator[None]:
-    """Raise errors of the system, and of packages that are not installed, as `SourceError`."""
+    """Convert errors of the system, and of packages that are not installed, to `SourceError`."""
     try:
         yield
     except OSError as error:
         raise SourceError(str(error)) from error
     except ImportError as error:
-        raise SourceError(f"that takes more: pip install 'dcgs_ros[bags]' ({error})") from error
+        raise SourceError(
+            f"this needs more packages: pip install 'dcgs_ros[bags]' ({error})"
+        ) from error
 
 
 def _byte_order(cdr: bytes) -> str:

@@ -165,7 +165,7 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
 
 
 def _check(path: Path, kinds: tuple[int, int], sides: list[int], depth_per_metre: float) -> None:
-    """Raise `SourceError` for compressions, image sizes or a unit that are not plausible."""
+    """Check that compressions, image sizes and unit are plausible; raises `SourceError`."""
     color_type, depth_type = kinds
     if depth_type == OCCI_DEPTH:
         raise SourceError(f'{path}: its depth is compressed as OCCI, which is not supported')

@@ -53,7 +53,7 @@ class SyntheticOptions:
     speed: float = 1.0  # of the hand along its path
 
     def __post_init__(self) -> None:
-        """Raise `SourceError`, with the valid choices, for an option that is not valid."""
+        """Check the options; raises `SourceError` with the valid choices."""
         if self.sensor not in _SENSORS:
             raise SourceError(f'unknown sensor {self.sensor!r}: one of {", ".join(_SENSORS)}')
         for key, (low, high) in (

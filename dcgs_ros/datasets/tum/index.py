@@ -84,7 +84,7 @@ def _parse_row(line: str, images: int) -> tuple[StampedPath, ...]:
 
 
 def check_inside(path: str) -> None:
-    """Raise `ValueError` for a path that leads out of the dataset's folder, or is not a path."""
+    """Check that a path stays within the dataset's folder; raises `ValueError`."""
     if '\0' in path or any('\ud800' <= character <= '\udfff' for character in path):
         raise ValueError(f'{path!r} is not a path')
     if PurePosixPath(path).is_absolute() or '..' in PurePosixPath(path).parts:

@@ -39,7 +39,7 @@ class RecordingLosses:
     def __init__(
         self, path: Path | str, recording: Recording, topics: Collection[str] | None
     ) -> None:
-        """Begin with the files that are missing; `topics` are those read, None for all."""
+        """Add the files that are missing; `topics` are those read, None for all."""
         self.read = 0  # messages that were read, counted by the reader
         self._path, self._recording, self._topics = path, recording, topics
         self._losses = [f'{name} is missing' for name in recording.missing]
@@ -57,7 +57,7 @@ class RecordingLosses:
         self._losses += [f'{file.name}: {loss}' for loss in losses]
 
     def check(self) -> None:
-        """Raise `DamagedError` if anything is lost, `SourceError` if nothing could be read."""
+        """Check that nothing is lost; raises `DamagedError`, or `SourceError` if all is lost."""
         losses = self._losses
         if not self.read and self._unusable == len(self._recording.files):
             raise SourceError(f'{self._path}: cannot be read: {"; ".join(losses)}')
@@ -69,7 +69,7 @@ class RecordingLosses:
             )
 
     def _of_recorded(self) -> str:
-        """Say how many messages there were, if metadata.yaml has plausible counts."""
+        """Return ' of N', the number of recorded messages, if metadata.yaml has one."""
         counts = self._recording.counts.items()
         recorded = [n for topic, n in counts if self._topics is None or topic in self._topics]
         return f' of {sum(recorded)}' if sum(recorded) >= self.read else ''

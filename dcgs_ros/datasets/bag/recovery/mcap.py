@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """MCAP files whose records cannot be followed to the footer.
 
-A file that is cut off lacks its end and thus its own index; the records before the damage are
-known by then. If the damage is in the middle, the file's index leads to the chunks behind it.
+The records before the damage are indexed already. If the file was cut off, that is all there is.
+If the damage is in the middle, the file's own index at its end leads to the chunks behind it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _END = struct.Struct('<BQQQI8s')  # the footer, and the magic after it
 def read_summary(index: McapIndex, broken_at: int, size: int) -> None:
     """Complete the index of a file of `size` bytes whose records break off at byte `broken_at`.
 
-    The loss is noted. If the summary at the file's end is readable, the chunks between the damage
-    and the summary are added to the index.
+    The loss is appended to the index' losses. If the summary at the file's end is readable, the
+    chunks between the damage and the summary are added to the index.
     """
     index.losses.append(
         f'never closed: it ends at byte {size} without a footer'

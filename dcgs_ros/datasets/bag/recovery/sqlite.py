@@ -20,7 +20,7 @@ def open_without_wal(
     reason: sqlite3.Error,
     losses: list[str],
 ) -> sqlite3.Connection:
-    """Open a file whose locks or -wal prevent the usual way, for `reason`, without these.
+    """Open a file without its locks and -wal, after opening it with these failed for `reason`.
 
     Raises `SourceError` if that fails, too.
     """
@@ -33,7 +33,7 @@ def open_without_wal(
 
 
 def note_cut_off(path: Path, losses: list[str]) -> None:
-    """Note by how much the file is shorter than its header says."""
+    """Append to `losses` that the file is shorter than its header says, if it is."""
     with path.open('rb') as file:
         header = file.read(_HEADER_BYTES)
     if len(header) < _HEADER_BYTES:
@@ -54,7 +54,7 @@ def add_without_index(
     reason: sqlite3.Error,
     losses: list[str],
 ) -> None:
-    """Add the messages that the index, which failed for `reason`, did not give: by the table."""
+    """Add the messages by walking the table, after reading the index failed for `reason`."""
     losses.append(f'its list of messages ends after {len(stamps)}: {reason}')
     try:
         add_rows(db, 'NOT INDEXED', stamps)

@@ -14,7 +14,6 @@ from heapq import heappop, heappush
 from pathlib import Path
 
 from ..messages import RawMessage
-from ..recovery.losses import skipping
 from .compression import is_packed, unpack
 from .mcap_index import McapIndex
 from .mcap_records import (
@@ -77,12 +76,14 @@ def _messages(
             message = heappop(waiting)[2]
             held -= len(message.cdr)
             yield message
-        what = f'{"chunk" if block.opcode == CHUNK else "message"} at byte {block.at}'
-        with skipping(index.losses, what, ValueError, struct.error, OSError):
+        try:
             for message in _block_messages(index, block, topics, heads):
                 heappush(waiting, (message.stamp_ns, count, message))
                 held += len(message.cdr)
                 count += 1
+        except (ValueError, struct.error, OSError) as error:
+            what = 'chunk' if block.opcode == CHUNK else 'message'
+            index.losses.append(f'{what} at byte {block.at}: {error}')
     while waiting:
         yield heappop(waiting)[2]
 

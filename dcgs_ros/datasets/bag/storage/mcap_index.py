@@ -13,7 +13,6 @@ import struct
 from typing import BinaryIO
 
 from ...source import SourceError
-from ..recovery.losses import skipping
 from ..recovery.mcap import read_summary
 from .compression import size_limit
 from .mcap_records import (
@@ -50,12 +49,14 @@ class McapIndex:
             raise SourceError(f'no MCAP: it begins with {magic!r}')
         size = os.fstat(file.fileno()).st_size
         try:
-            for record in walk_records(file, len(MAGIC), size):
-                with skipping(losses, f'record at byte {record[1]}', ValueError, struct.error):
-                    self.note(*record)
+            for opcode, at, length in walk_records(file, len(MAGIC), size):
+                try:
+                    self.note(opcode, at, length)
+                except (ValueError, struct.error) as error:
+                    losses.append(f'record at byte {at}: {error}')
             self.blocks.sort()
-        except CutOffError as error:
-            read_summary(self, error.at, size)
+        except CutOffError as damage:
+            read_summary(self, damage.at, size)
 
     def note(self, opcode: int, at: int, length: int) -> None:
         """Keep what a record outside of chunks says; the file is at byte `at`, its body."""

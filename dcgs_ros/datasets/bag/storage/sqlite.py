@@ -20,7 +20,6 @@ from ..recovery.sqlite import add_without_index, note_cut_off, open_without_wal
 from .compression import unpack
 
 _BUSY_S = 1.0
-_ROW_ERRORS = (sqlite3.Error, ValueError, LookupError, MemoryError)
 # A recording is not trusted: its views, virtual tables and computed columns would run queries.
 _TABLES = (
     "SELECT count(*) FROM sqlite_master AS t WHERE type = 'table' AND sql LIKE 'CREATE TABLE%' "
@@ -45,13 +44,15 @@ def read_sqlite(
             f'AND (topic_id IN ({",".join("?" * len(wanted))}))'
         )
         for row, stamp_ns in _rows(db, losses):
-            message = None
-            with skipping(losses, f'message {row}', *_ROW_ERRORS):
+            try:
                 found = db.execute(query, (row, *wanted)).fetchone()
-                if found is not None:
-                    message = _message(names, stamp_ns, *found)
-            if message is not None:
-                yield message
+                if found is None:
+                    continue
+                message = _message(names, stamp_ns, *found)
+            except (sqlite3.Error, ValueError, LookupError, MemoryError) as error:
+                losses.append(f'message {row}: {error}')
+                continue
+            yield message
 
 
 def sqlite_types(path: Path) -> dict[str, str] | None:

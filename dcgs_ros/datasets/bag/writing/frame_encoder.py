@@ -28,7 +28,7 @@ class FrameEncoder:
     """Encodes frames of one camera as Image or, with `compress`, as CompressedImage."""
 
     def __init__(self, camera: PinholeCamera, compress: bool) -> None:
-        """Begin with no frame whose depth was rounded to millimetres (`rounded`)."""
+        """Set `rounded`, the number of frames whose depth was rounded to millimetres, to zero."""
         self.rounded = 0
         self._camera, self._compress = camera, compress
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Described folders: `dcgs.yaml` says what they are, or the error says what it should say."""
+"""Custom folders are read as `dcgs.yaml` describes them, or the error says how it should."""
 
 from __future__ import annotations
 
@@ -200,7 +200,10 @@ BAD_VALUES: dict[str, tuple[dict[str, object], str]] = {
     'text for distortion': ({'camera': {**CAMERA, 'distortion': 'no'}}, 'camera.distortion is'),
     'map in distortion': ({'camera': {**CAMERA, 'distortion': [{}] * 4}}, r'distortion\[0\] is a'),
     'odd distortion': ({'camera': {**CAMERA, 'distortion': [1]}}, 'distortion has 1 numbers'),
-    'huge image': ({'camera': {**CAMERA, 'width': 1e9}}, r'camera: width, height: 1e.09 x 48 is not an image size'),
+    'huge image': (
+        {'camera': {**CAMERA, 'width': 1e9}},
+        r'camera: width, height: .* is not an image',
+    ),
     'endless focal': ({'camera': {**CAMERA, 'fx': float('inf')}}, 'camera: .*not usable'),
     'number beyond floats': ({'camera': {**CAMERA, 'fx': 10**400}}, 'camera: fx is a int'),
     'negative noise': ({'sensor': {'a_m': -1}}, 'need a_m > 0'),

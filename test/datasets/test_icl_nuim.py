@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ICL-NUIM folders: depth first, numbers for stamps, and a truth that is mirrored."""
+"""ICL-NUIM folders: depth first, frame numbers for stamps, mirrored ground truth."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.sensor import SensorNoise
@@ -50,9 +51,9 @@ def test_truth_goes_with_the_frames_of_its_numbers(living_room: Path) -> None:
 
 
 def project(
-    points_world: np.ndarray, T_world_cam: np.ndarray, fy: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) and depths (N,) of points (N, 3)."""
+    points_world: NDArray[np.float64], T_world_cam: NDArray[np.float64], fy: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return pixels (N, 2) and depths (N,) of points (N, 3)."""
     p = (points_world - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
     z = p[:, 2]
     return np.stack([481.2 * p[:, 0] / z + 319.5, fy * p[:, 1] / z + 239.5], axis=1), z
@@ -63,7 +64,7 @@ TWISTS = st.lists(st.floats(-2, 2), min_size=6, max_size=6).map(np.array)
 
 @given(TWISTS, st.integers(0, 2**32 - 1))
 def test_the_mirrored_camera_sees_the_mirrored_world_as_before(
-    twist: np.ndarray, seed: int
+    twist: NDArray[np.float64], seed: int
 ) -> None:
     T_world_cam = se3.exp(twist)
     rng = np.random.default_rng(seed)
@@ -76,7 +77,7 @@ def test_the_mirrored_camera_sees_the_mirrored_world_as_before(
 
 
 @given(TWISTS)
-def test_mirroring_keeps_rotations_and_undoes_itself(twist: np.ndarray) -> None:
+def test_mirroring_keeps_rotations_and_undoes_itself(twist: NDArray[np.float64]) -> None:
     T = se3.exp(twist)
     assert np.linalg.det(mirrored(T)[:3, :3]) == pytest.approx(1)
     np.testing.assert_array_equal(mirrored(mirrored(T)), T)

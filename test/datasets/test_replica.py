@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.datasets.camera_presets import PRESETS
@@ -67,7 +68,7 @@ TWISTS = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 
 @given(TWISTS)
-def test_a_written_pose_reads_back(twist: np.ndarray) -> None:
+def test_a_written_pose_reads_back(twist: NDArray[np.float64]) -> None:
     T = se3.exp(twist)
     truth = indexed_trajectory(Path('traj.txt'), {7: parse_matrix(folders.matrix_row(T))})
     assert truth.stamps_ns.tolist() == [stamp_of_index(7)]
@@ -86,7 +87,7 @@ def test_absent_frames_leave_the_others_their_times(tmp_path: Path) -> None:
     assert len(source.groundtruth) == 9
 
 
-NO_POSES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+NO_POSES: dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]] = {
     'transposed': lambda T: T.T,
     'mirrored': lambda T: T @ np.diag([1, -1, 1, 1]),
     'scaled': lambda T: T * [[1.1], [1.1], [1.1], [1]],

@@ -9,6 +9,7 @@ from pathlib import Path
 import folders  # type: ignore[import-not-found]
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
@@ -20,7 +21,7 @@ BASELINE_M = 0.025
 EDGE_PX = 1.0  # depth is drawn to whole pixels
 
 
-def wall(depth_mm: int) -> np.ndarray:
+def wall(depth_mm: int) -> NDArray[np.uint16]:
     return np.full((480, 640), depth_mm, np.uint16)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which camera a recording holds: its topics, depth that has to be registered, its noise, IMU."""
+"""The camera of a recording: its topics, registration of depth, noise, IMU."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 
 pytest.importorskip('rosbags')
 
@@ -78,13 +79,13 @@ def bag(tmp_path: Path) -> Bag:
     return write
 
 
-def depths_of(source: BagSource) -> list[np.ndarray]:
+def depths_of(source: BagSource) -> list[NDArray[np.float32]]:
     frames = [item for item in source if isinstance(item, RgbdFrame)]
     assert len(frames) == len(source) > 0
     return [frame.depth_m for frame in frames]
 
 
-def registered(k: int, per_metre: float = 1000.0) -> np.ndarray:
+def registered(k: int, per_metre: float = 1000.0) -> NDArray[np.float32]:
     depth_m = depth_of(k).astype(np.float32) / np.float32(per_metre)
     return register_depth(depth_m, DEPTH_CAMERA, T_COLORCAM_DEPTHCAM, CAMERA)
 

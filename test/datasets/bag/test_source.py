@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording is read as it was recorded, or it is said what does not fit."""
+"""Recordings are read as they were recorded, or the error names what does not fit."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ Bag = Callable[..., Path]
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Bag:
-    """Return a writer of recordings: of `recording(FRAMES)`, or of what it is given."""
+    """Return a function that writes a recording: `recording(FRAMES)`, or given entries."""
 
     def write(entries: list[Entry] | None = None, name: str = 'bag', plugin: int = MCAP) -> Path:
         entries = list(recording(FRAMES)) if entries is None else entries

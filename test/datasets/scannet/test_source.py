@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ScanNet's scenes are seen by their depth cameras, colour resampled."""
+"""ScanNet's frames are those of the depth camera, with colour resampled."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scannets import (  # type: ignore[import-not-found]
     COLOR_SIZE,
     DEPTH_SIZE,
@@ -51,19 +52,21 @@ def frames_in(source: Source) -> list[RgbdFrame]:
     return [frame for frame in frames if isinstance(frame, RgbdFrame)]
 
 
-def small_camera(size: tuple[int, int], K: np.ndarray) -> PinholeCamera:
+def small_camera(size: tuple[int, int], K: NDArray[np.float64]) -> PinholeCamera:
     return PinholeCamera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
 
 
-def gradient(camera: PinholeCamera) -> np.ndarray:
-    """Ramps (H, W, 3) that tell where a pixel lies: across, down, along the diagonal."""
+def gradient(camera: PinholeCamera) -> NDArray[np.uint8]:
+    """Return ramps (H, W, 3) of the pixels' position: across, down, along the diagonal."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     across, down = u * 200.0 / camera.width + 20, v * 200.0 / camera.height + 20
     return np.rint(np.stack([across, down, (across + down) / 2], axis=2)).astype(np.uint8)
 
 
-def seen(color: PinholeCamera, depth: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (h, w) of colour on the rays of depth's, by the definition."""
+def seen(
+    color: PinholeCamera, depth: PinholeCamera
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return colour's pixels, u and v (h, w), on the rays of depth's pixels."""
     u, v = np.meshgrid(np.arange(depth.width), np.arange(depth.height))
     return (
         (u - depth.cx) / depth.fx * color.fx + color.cx,
@@ -71,8 +74,8 @@ def seen(color: PinholeCamera, depth: PinholeCamera) -> tuple[np.ndarray, np.nda
     )
 
 
-def errors_of(color: PinholeCamera, depth: PinholeCamera) -> np.ndarray:
-    """Errors (N, 3) in grey levels of the resampled ramps, but at the image's border."""
+def errors_of(color: PinholeCamera, depth: PinholeCamera) -> NDArray[np.float64]:
+    """Return errors (N, 3), grey levels, of the resampled ramps inside the image's border."""
     full = np.ones((depth.height, depth.width), np.float32)
     resampled, _ = color_resampling(color, depth, np.eye(4))(gradient(color), full)
     u, v = seen(color, depth)

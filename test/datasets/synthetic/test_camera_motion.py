@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Paths are rigid, smooth, hand-like, and keep away from things."""
+"""Paths are rigid, smooth, like a hand's, and keep a distance from surfaces."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def angular_rates(poses):
 @pytest.mark.parametrize('scene', SCENE_NAMES)
 @pytest.mark.parametrize('seed', SEEDS)
 def test_path_is_rigid_and_clear_of_things(scene, seed):
-    """R^T R = 1, det R = 1; nothing nearer than a forearm."""
+    """R^T R = 1, det R = 1; no surface is nearer than a forearm."""
     stage = build_scenario(scene, seed)
     poses = HandHeldPath(stage.motion, seed, 1.0).poses(TIMES_S)
     R = poses[:, :3, :3]
@@ -58,7 +58,7 @@ def test_double_speed_is_the_same_path_twice_as_fast():
 
 @pytest.mark.parametrize('scene', SCENE_NAMES)
 def test_turns_add_up_to_nothing(scene):
-    """Else the path would jump where the cycle begins again."""
+    """Otherwise the path would jump at the start of each cycle."""
     motion = build_scenario(scene, 0).motion
     for channel in range(6):
         assert sum(turn.change for turn in motion.turns if turn.channel == channel) == 0
@@ -66,7 +66,7 @@ def test_turns_add_up_to_nothing(scene):
 
 
 def test_seeds_shake_differently():
-    """Same way, other tremor: centimetres, not decimetres."""
+    """The seed changes the path by centimetres, not decimetres."""
     motion = build_scenario('room', 0).motion
     a, b = (HandHeldPath(motion, seed, 1.0).poses(TIMES_S)[:, :3, 3] for seed in (0, 1))
     distance = np.linalg.norm(a - b, axis=1)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Depth cameras against the laws they are built to follow."""
+"""Depth cameras against the laws they model."""
 
 import numpy as np
 import pytest

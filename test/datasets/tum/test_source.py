@@ -7,12 +7,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.camera_presets import PRESETS
@@ -118,7 +120,7 @@ def test_association_is_greedy_and_one_to_one(a: list[int], b: list[int], gap: i
 
 @pytest.mark.parametrize('name', ['tum_fr3_teddy_200', 'mini_fr1_xyz_vga_120'])
 def test_own_association_is_the_published_one(data_dir: Path, name: str) -> None:
-    def stamps(file: str) -> np.ndarray:
+    def stamps(file: str) -> NDArray[np.int64]:
         lines = (data_dir / name / file).read_text().splitlines()
         rows = [line.split() for line in lines if not line.startswith('#')]
         return np.array([int(row[0].replace('.', '')) * 1000 for row in rows])
@@ -184,7 +186,7 @@ def _flip_a_byte(path: Path) -> None:
     path.write_bytes(bytes(data))
 
 
-def _rewrite(image: np.ndarray) -> Callable[[Path], None]:
+def _rewrite(image: NDArray[Any]) -> Callable[[Path], None]:
     def damage(path: Path) -> None:
         cv2.imwrite(str(path), image)
 

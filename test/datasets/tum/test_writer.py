@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""TUM folders that are written: what is read from them is what was given."""
+"""Written TUM folders: what is read from them is what was given."""
 
 from __future__ import annotations
 

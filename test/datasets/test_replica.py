@@ -6,20 +6,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 
 import folders  # type: ignore[import-not-found]
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dcgs_ros.core import se3
 from dcgs_ros.datasets.camera_presets import PRESETS
-from dcgs_ros.datasets.images.indexed_frames import indexed_trajectory, stamp_of_index
-from dcgs_ros.datasets.parsing.pose_matrices import parse_matrix
+from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
 from dcgs_ros.datasets.replica import is_replica, open_replica
 from dcgs_ros.datasets.source import BadFrame, SourceError
 
@@ -54,25 +49,6 @@ def test_poses_are_what_was_written(scene: Path) -> None:
     assert truth.stamps_ns.tolist() == [stamp_of_index(k) for k in range(4)]
     expected = [folders.pose_of(k) for k in range(4)]
     np.testing.assert_allclose(truth.T_world_cam, expected, atol=folders.POSE_TOLERANCE)
-
-
-@given(st.integers(0, 10**9))
-def test_a_frames_stamp_is_its_time_rounded_once(number: int) -> None:
-    stamp_ns = stamp_of_index(number)
-    assert abs(Fraction(stamp_ns) - Fraction(number * 10**9, 30)) < Fraction(1, 2)
-    assert round(Fraction(stamp_ns, 10**9) * 30) == number
-    assert stamp_of_index(number + 1) > stamp_ns
-
-
-TWISTS = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
-
-
-@given(TWISTS)
-def test_a_written_pose_reads_back(twist: NDArray[np.float64]) -> None:
-    T = se3.exp(twist)
-    truth = indexed_trajectory(Path('traj.txt'), {7: parse_matrix(folders.matrix_row(T))})
-    assert truth.stamps_ns.tolist() == [stamp_of_index(7)]
-    np.testing.assert_allclose(truth.T_world_cam[0], T, atol=folders.POSE_TOLERANCE)
 
 
 def test_absent_frames_leave_the_others_their_times(tmp_path: Path) -> None:

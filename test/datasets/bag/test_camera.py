@@ -54,18 +54,15 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.bag import camera as bag_camera
-from dcgs_ros.datasets.bag.extrinsics import transform_between
 from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.bag.topics import camera_topics
 from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.depth_registration import register_depth
 from dcgs_ros.datasets.source import ImuSample, SourceError
-from dcgs_ros.io.ros_images import MessageError
 
 EXACT = 1e-12  # of transforms, metres
 MOVED_M = 1e-5  # depth by float32's rounding of a transform
 EDGE = 0.01  # of the pixels, which the same rounding moves across an edge
-UNPLAIN = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5)
 T_ROOT = se3.exp(np.array([0.1, 0.2, -0.3, 0.5, -0.7, 1.1]))  # any frame above the cameras
 
 Bag = Callable[..., Path]
@@ -175,19 +172,6 @@ def test_unaligned_depth_is_registered_through_the_tree_of_frames(bag: Bag) -> N
     source = BagSource(bag([static_entry(tree[:1]), static_entry(tree[1:]), *images]))
     for k, depth_m in enumerate(depths_of(source)):
         assert (np.abs(depth_m - registered(k)) > MOVED_M).mean() < EDGE
-
-
-def test_transforms_are_composed_up_and_down_a_tree() -> None:
-    tree = {'a': ('root', T_ROOT), 'b': ('a', T_COLORCAM_DEPTHCAM), 'c': ('root', np.eye(4))}
-    T_c_b = transform_between(tree, 'c', 'b')
-    assert T_c_b is not None
-    np.testing.assert_allclose(T_c_b, T_ROOT @ T_COLORCAM_DEPTHCAM, atol=EXACT)
-    T_b_c = transform_between(tree, 'b', 'c')
-    assert T_b_c is not None
-    np.testing.assert_allclose(T_b_c @ T_c_b, np.eye(4), atol=EXACT)
-    assert transform_between(tree, 'c', 'elsewhere') is None
-    with pytest.raises(MessageError, match="'a' is above itself"):
-        transform_between({'a': ('b', T_ROOT), 'b': ('a', T_ROOT)}, 'a', 'b')
 
 
 def test_unaligned_depth_without_what_registers_it_is_refused(bag: Bag) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
 
 COLOR_SIZE, DEPTH_SIZE = (130, 97), (64, 48)
 # As ScanNet's: depth has a little less than half of colour's scale, and sees a little farther.
@@ -51,6 +52,11 @@ def frames_of(count: int) -> list[Frame]:
             )
         )
     return frames
+
+
+def small_camera(size: tuple[int, int], K: NDArray[np.float64]) -> PinholeCamera:
+    """Return the camera of images of that width and height, with K (4, 4)."""
+    return PinholeCamera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
 
 
 def sens_bytes(

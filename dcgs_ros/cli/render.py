@@ -21,7 +21,8 @@ from ..core.mapping.splats import Splats
 from ..core.render import make_renderer
 from ..core.render.renderer import View
 from ..core.trajectory import Trajectory
-from ..datasets.cameras import PRESETS, parse_intrinsics
+from ..datasets.camera_presets import PRESETS
+from ..datasets.parsing.intrinsics import parse_intrinsics
 from ..evaluation.map_view import corrections
 from ..io.map_archive import MapFileError, SavedMap, read_map
 from ..io.ply import PlyError, read_ply

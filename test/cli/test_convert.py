@@ -20,7 +20,7 @@ from running import run_into  # type: ignore[import-not-found]
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag.source import BagSource
-from dcgs_ros.datasets.described import open_described
+from dcgs_ros.datasets.custom import open_custom
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.tum.source import open_tum
 
@@ -58,7 +58,7 @@ def test_tum_to_bags_to_tum_gives_the_original(tum_folder: Writer, tmp_path: Pat
     assert (tmp_path / 'b.db3' / 'b.db3.db3').exists()
     assert same(original, BagSource(tmp_path / 'b.db3'))
     assert convert(tmp_path / 'b.db3', tmp_path / 'c', '--format', 'tum') == 0
-    assert same(original, open_described(tmp_path / 'c'))
+    assert same(original, open_custom(tmp_path / 'c'))
     assert original.groundtruth is not None
     back = open_tum(tmp_path / 'c', SMALL).groundtruth
     assert back is not None
@@ -70,7 +70,7 @@ def test_real_depth_survives_bit_for_bit(data_dir: Path, tmp_path: Path) -> None
     assert convert(folder, tmp_path / 'a', '--camera', 'fr3', *few) == 0
     assert convert(tmp_path / 'a', tmp_path / 'b', '--format', 'tum') == 0
     original = list(zip(range(4), open_tum(folder, 'fr3'), strict=False))
-    back = open_described(tmp_path / 'b')
+    back = open_custom(tmp_path / 'b')
     for (_, a), b in zip(original, back, strict=True):
         assert isinstance(a, RgbdFrame) and isinstance(b, RgbdFrame)
         assert (a.stamp_ns, a.depth_stamp_ns) == (b.stamp_ns, b.depth_stamp_ns)

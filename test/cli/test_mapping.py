@@ -30,7 +30,7 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.tracking.tracker import Tracker
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.io.map_archive import SavedMap, read_map

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from ..sensor import SensorNoise
+from .presets import Ablation
 from .schema import Stage, described, ranged
 
 
@@ -242,7 +242,7 @@ class RatesConfig(Stage):
 class Config(Stage):
     """All stages."""
 
-    ablation: Literal['full', 'sigma_t', 'shared', 'shared_klt'] = described(
+    ablation: Ablation = described(  # noqa: RUF009  it does not see that this is a Literal
         'full',
         'What of the method is at work: both covariances with landmarks (full), without landmarks '
         '(sigma_t); one shared covariance (shared), that with landmarks (shared_klt).',

@@ -44,7 +44,7 @@ RENDERING = {
 PRINTED_M = 1e-9  # decimals of a trajectory file
 FLOAT32 = 1e-5  # relative
 FULL_ROOM = ('synthetic:room?frames=8', '--quality', 'draft', '--set', 'mapping.final_steps=20')
-STEPS = 10_000  # more than any test takes
+STEPS = 10_000  # more than any test waits for
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
 

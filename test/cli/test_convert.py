@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A converted sequence is its original, and appears whole or not at all."""
+"""A converted sequence equals its original, and is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from running import run_into  # type: ignore[import-not-found]
 
+from dcgs_ros.cli.arguments import OutputFormat
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag.source import BagSource
+from dcgs_ros.datasets.bag.writing.storage import STORAGES
 from dcgs_ros.datasets.custom import open_custom
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.tum.source import open_tum
@@ -91,12 +94,15 @@ def test_the_summary_names_what_was_skipped_and_lost(
     assert len(BagSource(tmp_path / 'a')) == 3
 
 
-def test_what_makes_no_sense_is_refused_before_anything_is_read(
+def test_the_formats_are_those_of_the_writers() -> None:
+    assert get_args(OutputFormat) == (*STORAGES, 'tum')
+
+
+def test_wrong_arguments_are_refused_before_anything_is_read(
     tum_folder: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, dest = tum_folder(), tmp_path / 'dest'
     for words, reason in (
-        (('--format', 'tar'), 'one of mcap, sqlite3, tum'),
         (('--format', 'tum', '--zstd'), 'are for a rosbag2'),
         (('--max-frames', '0'), 'at least one'),
     ):
@@ -121,7 +127,7 @@ def test_without_a_usable_frame_nothing_is_left(
 
 
 def start(source: str, dest: Path, *words: str, limit: int | None = None) -> subprocess.Popen[str]:
-    """Convert in a process of its own, whose files may have `limit` bytes."""
+    """Convert in a subprocess whose files may have at most `limit` bytes."""
     code = 'import sys, resource; from dcgs_ros.cli.main import main\n'
     if limit is not None:
         code += f'resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n'

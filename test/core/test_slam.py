@@ -18,7 +18,8 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe, MapUpdate, PosedFrame
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.slam import Lockstep, Online
-from dcgs_ros.core.tracking.tracker import Tracker, TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
+from dcgs_ros.core.tracking.tracker import Tracker
 
 PATIENCE_S = 20.0  # far more than any wait here takes
 SLOW_S = 0.3  # of a mapper that is

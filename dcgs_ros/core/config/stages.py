@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from ..sensor import SensorNoise
+from .presets import Ablation
 from .schema import Stage, described, ranged
 
 
@@ -283,7 +283,7 @@ class RatesConfig(Stage):
 class Config(Stage):
     """The settings of all stages."""
 
-    ablation: Literal['full', 'sigma_t', 'shared', 'shared_klt'] = described(
+    ablation: Ablation = described(  # noqa: RUF009  it does not see that this is a Literal
         'full',
         'Variant of the method: both covariances with landmarks (full) or without (sigma_t); one '
         'shared covariance without landmarks (shared) or with them (shared_klt).',

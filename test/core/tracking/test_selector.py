@@ -10,8 +10,8 @@ import numpy as np
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.tracking.selector import KeyframeSelector
-from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
 
 OK, LOST, DEGENERATE = TrackingState.OK, TrackingState.LOST, TrackingState.DEGENERATE
 

@@ -22,7 +22,8 @@ from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import MapUpdate
-from dcgs_ros.core.tracking.tracker import Tracker, TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.synthetic.source import SyntheticSource

@@ -73,3 +73,14 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         _ = dcgs_ros.Slam  # type: ignore[attr-defined]
     with pytest.raises(ImportError):
         exec('from dcgs_ros import Slam')
+
+
+@pytest.mark.slow
+def test_the_example_of_the_readme_runs() -> None:
+    text = (ROOT / 'README.md').read_text()
+    (code,) = re.findall(r'```python\n(.*?)```', text, re.DOTALL)
+    assert "'synthetic:room'" in code
+    code = code.replace("'synthetic:room'", "'synthetic:room?frames=5'")
+    names: dict[str, Any] = {}
+    exec(code, names)  # ours, not a user's
+    assert names['color'].shape == (3, 480, 640) and names['mapper'].steps > 0

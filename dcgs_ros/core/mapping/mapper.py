@@ -13,8 +13,9 @@ from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..errors import DcgsError
-from ..kernels.workers import Workers
+from ..kernels.workers import Workers, cores
 from ..keyframe import Keyframe, MapUpdate, PosedFrame
+from ..render import make_renderer
 from ..render.renderer import Renderer, Rendering, View
 from . import exposure
 from .corrections import Corrections
@@ -46,17 +47,22 @@ class Mapper:
         self,
         camera: PinholeCamera,
         config: Config,
-        renderer: Renderer,
-        workers: Workers,
+        renderer: Renderer | None = None,
+        workers: Workers | None = None,
         strategy: Densification | None = None,
     ) -> None:
-        """Start with an empty map; `strategy` is `DefaultDensification` by default."""
+        """Start with an empty map.
+
+        By default `workers` are all cores or `config.threads`, `renderer` is what `make_renderer`
+        finds for them, and `strategy` is `DefaultDensification`.
+        """
+        workers = workers or Workers(config.threads or cores())
         self.camera, self.config = camera, config
         self.table = SplatTable()
         self.views: list[KeyframeView] = []
         self.steps = 0
         self.poisoned = 0  # Gaussians dropped because a parameter was not finite
-        self._renderer, self._workers = renderer, workers
+        self._renderer, self._workers = renderer or make_renderer(workers), workers
         self._strategy = strategy or DefaultDensification(config)
         self._rectify = Rectifier(camera)
         settings = config.mapping

@@ -18,7 +18,8 @@ import numpy as np
 
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.evaluation.host import machine
-from dcgs_ros.nodes.harness.processes import Observer, Processes, sensor_parameters, wait_until
+from dcgs_ros.nodes.harness.observer import Observer, wait_until
+from dcgs_ros.nodes.harness.processes import Processes, sensor_parameters
 
 from .memory import rss_mb
 from .panels import draw_panels

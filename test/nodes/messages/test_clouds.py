@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -28,7 +29,7 @@ from dcgs_ros.nodes.messages.clouds import (
     unpack_rgb,
     write_cloud,
 )
-from dcgs_ros.nodes.messages.standard import header
+from dcgs_ros.nodes.messages.images import header
 
 HEADER = header(7, 'odom')
 TYPES = {
@@ -41,7 +42,7 @@ TYPES = {
 STRUCT = {5: 'i', 6: 'I', 7: 'f', 8: 'd'}
 
 
-def random_rows(dtype: np.dtype, count: int, seed: int) -> np.ndarray:
+def random_rows(dtype: np.dtype[Any], count: int, seed: int) -> NDArray[Any]:
     rng = np.random.default_rng(seed)
     rows = np.zeros(count, dtype)
     for name in dtype.names or ():
@@ -51,7 +52,7 @@ def random_rows(dtype: np.dtype, count: int, seed: int) -> np.ndarray:
 
 
 def laid_out(
-    rows: np.ndarray, seed: int, height: int, gaps: int, pitch_gap: int, big: bool
+    rows: NDArray[Any], seed: int, height: int, gaps: int, pitch_gap: int, big: bool
 ) -> PointCloud2:
     """Write rows as another program might: fields in any order, with gaps and others between."""
     rng = np.random.default_rng(seed)

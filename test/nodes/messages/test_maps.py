@@ -33,13 +33,8 @@ from dcgs_ros.nodes.mapping import outputs as module
 from dcgs_ros.nodes.mapping.outputs import MapOutputs
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_POSE, MAP_GAUSSIAN, read_cloud, unpack_rgb
 from dcgs_ros.nodes.messages.ids import EPOCH
-from dcgs_ros.nodes.messages.maps import (
-    UPDATES_KEPT,
-    keyframe_rows,
-    map_rows,
-    read_poses,
-    read_stamps,
-)
+from dcgs_ros.nodes.messages.map_rows import keyframe_rows, map_rows
+from dcgs_ros.nodes.messages.maps import UPDATES_KEPT, read_poses, read_stamps
 from dcgs_ros.nodes.tracking.map_mirror import MapMirror
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -232,7 +227,7 @@ def listener(node: FakeNode) -> MapMirror:
     return mirror
 
 
-def assert_same(rows: NDArray | None, expected: NDArray) -> None:
+def assert_same(rows: NDArray[Any] | None, expected: NDArray[Any]) -> None:
     assert rows is not None and len(rows) == len(expected)
     for name in MAP_GAUSSIAN.names or ():
         one, other = (np.ascontiguousarray(r[name]).view(np.uint8) for r in (rows, expected))
@@ -331,7 +326,7 @@ def test_the_list_of_keyframes_is_whole_each_time(clock: Clock) -> None:
     outputs.keyframes(mapper)
     first, second = (
         read_stamps(read_cloud(cloud, KEYFRAME_POSE))
-        for cloud in node.topics['~/keyframes'].messages
+        for cloud in node.topics['keyframe/received'].messages
     )
     assert first == [] and second == [view.stamp_ns for view in mapper.views]
 

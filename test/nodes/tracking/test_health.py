@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a tracker's state means to who watches /diagnostics."""
+"""What /diagnostics say of a tracker's state."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from dcgs_ros.core.tracking.observability import Observability, observability
 from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
-from dcgs_ros.nodes.tracking.health import Level, Streams, judge, numbers, weakest_axis
+from dcgs_ros.nodes.health import Level
+from dcgs_ros.nodes.tracking.health import Streams, judge, numbers, weakest_axis
 
 FINE = Streams(color=30, depth=30, pairs=30, dropped=0, has_camera=True, silent_s=0.03)
-NO_IDS = np.empty(0, np.int64)
 
 
 def spectrum() -> Observability:
@@ -28,7 +28,7 @@ def spectrum() -> Observability:
 
 def result_in(state: TrackingState, seen: Observability | None = None) -> TrackResult:
     return TrackResult(
-        1, np.eye(4), np.eye(4), np.eye(6), state, seen, 2000, 1500, 120, False, NO_IDS, -3.5
+        1, np.eye(4), np.eye(4), np.eye(6), state, seen, 2000, 1500, 120, False, (), -3.5
     )
 
 

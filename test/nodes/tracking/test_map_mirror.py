@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A mirror of the map is the map, whoever comes late; and a tracker goes on in it."""
+"""A mirror of the map is the map, however late it subscribed; a tracker goes on in it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH
-from dcgs_ros.nodes.tracking.map_mirror import MapMirror, Resumable, changes
+from dcgs_ros.nodes.messages.maps import changes
+from dcgs_ros.nodes.tracking.map_mirror import MapMirror, Resumable
 
 KEPT = 32  # updates that a late subscriber still gets
 FLOAT32 = 1e-5
@@ -28,10 +30,10 @@ FIELDS = MAP_GAUSSIAN.names or ()
 LATER_NS = 10**6  # than all else
 QUICK = settings(max_examples=50, deadline=None)
 
-Message = tuple[str, int, NDArray]  # topic, stamp, rows
+Message = tuple[str, int, NDArray[Any]]  # topic, stamp, rows
 
 
-def rows_of(ids: Sequence[int], seed: int = 0) -> NDArray:
+def rows_of(ids: Sequence[int], seed: int = 0) -> NDArray[Any]:
     """Rows in ascending order of id, the mapper's own without a tracking covariance."""
     rows = np.zeros(len(ids), MAP_GAUSSIAN)
     numbers = np.random.default_rng(seed).normal(size=(len(FIELDS), len(ids)))
@@ -42,7 +44,7 @@ def rows_of(ids: Sequence[int], seed: int = 0) -> NDArray:
     return rows
 
 
-def assert_same(rows: NDArray | None, expected: NDArray) -> None:
+def assert_same(rows: NDArray[Any] | None, expected: NDArray[Any]) -> None:
     """Bit by bit, whatever there is between the fields."""
     assert rows is not None and len(rows) == len(expected)
     for name in FIELDS:
@@ -55,7 +57,7 @@ IDS = st.sets(st.integers(-6, 6).map(lambda k: k if k < 0 else 7 * EPOCH + k))
 
 
 @st.composite
-def histories(draw: st.DrawFn) -> list[NDArray]:
+def histories(draw: st.DrawFn) -> list[NDArray[Any]]:
     """Maps as they follow each other: some rows stay, some change, some go, some come."""
     maps = [rows_of([])]
     for _ in range(draw(st.integers(1, 6))):
@@ -70,7 +72,7 @@ def histories(draw: st.DrawFn) -> list[NDArray]:
 
 @QUICK
 @given(histories())
-def test_changes_are_what_changed_and_no_more(maps: list[NDArray]) -> None:
+def test_changes_are_what_changed_and_no_more(maps: list[NDArray[Any]]) -> None:
     for before, now in pairwise(maps):
         news = changes(before, now)
         was = {row['id']: row.tobytes() for row in before}
@@ -102,7 +104,9 @@ class Publisher:
         return topics[0], topics[1]
 
 
-def published(maps: list[NDArray], wholes: Sequence[bool], stamp_ns: int = 100) -> list[Message]:
+def published(
+    maps: list[NDArray[Any]], wholes: Sequence[bool], stamp_ns: int = 100
+) -> list[Message]:
     """An update for each map, a whole one with some; the first always."""
     messages: list[Message] = []
     for k, (before, now) in enumerate(pairwise(maps)):
@@ -128,7 +132,7 @@ WHOLES = st.lists(st.booleans(), min_size=1, max_size=8)
 @QUICK
 @given(histories(), WHOLES, st.integers(0, 20), SEEDS)
 def test_a_mirror_is_the_map_however_late_it_comes_and_however_topics_interleave(
-    maps: list[NDArray], wholes: list[bool], start: int, seed: int
+    maps: list[NDArray[Any]], wholes: list[bool], start: int, seed: int
 ) -> None:
     publisher, mirror = Publisher(published(maps, wholes)), MapMirror()
     feed(mirror, publisher.seen_from(start), seed)
@@ -138,8 +142,8 @@ def test_a_mirror_is_the_map_however_late_it_comes_and_however_topics_interleave
 @QUICK
 @given(histories(), WHOLES, histories(), WHOLES, st.integers(90, 110), SEEDS)
 def test_a_mirror_goes_over_to_another_mapper(
-    maps: list[NDArray], wholes: list[bool], others: list[NDArray], other_wholes: list[bool],
-    stamp_ns: int, seed: int,
+    maps: list[NDArray[Any]], wholes: list[bool], others: list[NDArray[Any]],
+    other_wholes: list[bool], stamp_ns: int, seed: int,
 ) -> None:  # fmt: skip
     """One that was started again, at the latest with its next whole map.
 
@@ -156,7 +160,7 @@ def test_a_mirror_goes_over_to_another_mapper(
 
 @QUICK
 @given(histories())
-def test_updates_alone_are_no_map(maps: list[NDArray]) -> None:
+def test_updates_alone_are_no_map(maps: list[NDArray[Any]]) -> None:
     """Who has seen no whole map does not take a part of it for one."""
     mirror = MapMirror()
     for k, (before, now) in enumerate(pairwise(maps)):
@@ -200,7 +204,7 @@ POSES = [se3.exp(np.array([0.3 * k, 0.1, -0.2 * k, 0.1 * k, 0.2, 0.05 * k])) for
 STAMPS = [10, 20, 30]
 
 
-def tracked_rows(count: int = 60, epoch: int = 5) -> NDArray:
+def tracked_rows(count: int = 60, epoch: int = 5) -> NDArray[Any]:
     """Discs in front of the keyframes, well formed."""
     rng = np.random.default_rng(3)
     rows = rows_of([epoch * EPOCH + 3 * k for k in range(count)])

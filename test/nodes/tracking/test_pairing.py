@@ -8,11 +8,10 @@ import itertools
 import random
 from collections.abc import Iterable, Sequence
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgs_ros.nodes.tracking.pairing import ImagePair, ImagePairing, Joiner
+from dcgs_ros.nodes.tracking.pairing import ImagePair, ImagePairing
 
 MS = 1_000_000
 START = 1_700_000_000 * 10**9
@@ -149,29 +148,3 @@ def test_a_silent_stream_makes_the_other_drop_its_oldest() -> None:
     pairing: ImagePairing[int, int] = ImagePairing(SLOP, CAPACITY)
     assert not stamps(fed(pairing, [('color', PERIOD * k) for k in range(100)]))
     assert pairing.unpaired_color == 100 - CAPACITY
-
-
-@given(st.permutations([(name, k) for name in 'abc' for k in range(4)]))
-def test_parts_join_by_stamp_in_any_order(arrivals: list[tuple[str, int]]) -> None:
-    joiner = Joiner('abc', capacity=4)
-    joined = [joiner.add(name, k, f'{name}{k}') for name, k in arrivals]
-    complete = [parts for parts in joined if parts is not None]
-    expected = [{name: f'{name}{k}' for name in 'abc'} for k in range(4)]
-    assert sorted(complete, key=lambda parts: parts['a']) == expected
-    assert joiner.dropped == 0
-
-
-def test_what_stays_incomplete_is_dropped_oldest_first() -> None:
-    joiner = Joiner(['a', 'b'], capacity=3)
-    for k in range(10):
-        assert joiner.add('a', k, k) is None
-    assert joiner.dropped == 7
-    assert [joiner.add('b', k, k) for k in (7, 8, 9)] == [{'a': k, 'b': k} for k in (7, 8, 9)]
-
-
-@pytest.mark.parametrize('capacity', [1, 3])
-def test_a_part_that_comes_twice_counts_once(capacity: int) -> None:
-    joiner = Joiner(['a', 'b'], capacity)
-    assert joiner.add('a', 5, 'old') is None
-    assert joiner.add('a', 5, 'new') is None
-    assert joiner.add('b', 5, 'b') == {'a': 'new', 'b': 'b'}

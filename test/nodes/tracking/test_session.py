@@ -27,13 +27,13 @@ from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS
+from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.tracking.map_mirror import Resumable
-from dcgs_ros.nodes.tracking.session import Tracking, new_epoch
+from dcgs_ros.nodes.tracking.session import TrackingSession, new_epoch
 
 SECOND = 1_000_000_000
 FRAMES = 14
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.5)
-NO_IDS = np.empty(0, np.int64)
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal')
 FULL = SOURCE.camera
 T_BASE_CAM = se3.exp(np.array([0.1, 0.0, 0.2, 0.3, -1.2, 0.4]))
@@ -67,12 +67,12 @@ def shifted(frame: RgbdFrame, by_ns: int) -> RgbdFrame:
 
 
 class Follower:
-    """Feeds a `Tracking` as the node does, and remembers."""
+    """Feeds a `TrackingSession` as the node does, and keeps what comes out."""
 
     def __init__(self, config: Config = CONFIG) -> None:
-        self.said: list[str] = []
-        self.tracking = Tracking(config, T_BASE_CAM, self.said.append)
-        self.keyframes: list[tuple[int, Keyframe]] = []  # with their epochs
+        self.warnings: list[str] = []
+        self.session = TrackingSession(config, T_BASE_CAM, self.warnings.append)
+        self.packets: list[KeyframePacket] = []
 
     def feed(
         self, frames: Sequence[RgbdFrame], camera: PinholeCamera = HALF, by_ns: int = 0
@@ -80,22 +80,26 @@ class Follower:
         results = []
         for frame in frames:
             frame = shifted(frame, by_ns)
-            result = self.tracking.track(frame, camera)
+            result = self.session.track(frame, camera)
             results.append(result)
             if result is not None:
-                made = self.tracking.keyframes(frame, result)
-                self.keyframes += [(self.tracking.epoch, keyframe) for keyframe in made]
+                self.packets += self.session.packets(frame, result, 'optical')
         return results
 
     @property
-    def names(self) -> list[int]:
-        return [keyframe.frame.stamp_ns for _, keyframe in self.keyframes]
+    def stamps(self) -> list[int]:
+        return [packet.stamp_ns for packet in self.packets]
+
+    @property
+    def ids(self) -> list[tuple[int, int]]:
+        """Epoch and id of every Gaussian that the mapper gets."""
+        keyframes = [(p.epoch, p.posed) for p in self.packets if isinstance(p.posed, Keyframe)]
+        return [(epoch, id) for epoch, keyframe in keyframes for id in keyframe.ids.tolist()]
 
     def assert_keyframes_are_whole(self) -> None:
-        """Every name once, and every Gaussian of a map handed over once."""
-        assert len(set(self.names)) == len(self.names)
-        ids = [(epoch, id) for epoch, k in self.keyframes for id in k.ids.tolist()]
-        assert len(set(ids)) == len(ids)
+        """Every stamp once, and every Gaussian of a map once."""
+        assert len(set(self.stamps)) == len(self.stamps)
+        assert len(set(self.ids)) == len(self.ids)
 
 
 def states(results: Sequence[TrackResult | None]) -> list[TrackingState | None]:
@@ -103,7 +107,9 @@ def states(results: Sequence[TrackResult | None]) -> list[TrackingState | None]:
 
 
 def assert_true(
-    results: Sequence[TrackResult | None], frames: Sequence[RgbdFrame], T_world_first: NDArray
+    results: Sequence[TrackResult | None],
+    frames: Sequence[RgbdFrame],
+    T_world_first: NDArray[np.float64],
 ) -> None:
     """Where the camera really went, since the first frame of all."""
     start = se3.inverse(SOURCE.pose(frames_of(FULL)[0].stamp_ns))
@@ -133,42 +139,42 @@ def test_a_camera_is_followed_and_what_it_saw_is_handed_over() -> None:
     assert first is not None
     np.testing.assert_array_equal(first.T_world_cam, T_BASE_CAM)
     follower.assert_keyframes_are_whole()
-    assert {epoch for epoch, _ in follower.keyframes} == {follower.tracking.epoch}
-    assert set(follower.names) <= {frame.stamp_ns for frame in frames}
-    assert not follower.said and follower.tracking.counts == {'ok': len(frames)}
-    tracker = follower.tracking.tracker
+    assert {packet.epoch for packet in follower.packets} == {follower.session.epoch}
+    assert set(follower.stamps) <= {frame.stamp_ns for frame in frames}
+    assert not follower.warnings and follower.session.counts == {'ok': len(frames)}
+    tracker = follower.session.tracker
     assert tracker is not None
-    ids = np.concatenate([keyframe.ids for _, keyframe in follower.keyframes])
+    ids = np.array([id for _, id in follower.ids])
     assert set(ids.tolist()) == set(tracker.gaussians.ids.tolist())
-    assert follower.tracking.alive(ids).all()
+    assert follower.session.alive(ids).all()
 
 
 def test_another_camera_begins_another_map_at_the_last_pose() -> None:
     """A resolution that changes while the robot drives: poses go on, ids do not."""
     follower, halves, full = Follower(), frames_of(HALF), frames_of(FULL)
-    before, epoch = follower.feed(halves[:5]), follower.tracking.epoch
+    before, epoch = follower.feed(halves[:5]), follower.session.epoch
     last = before[-1]
     after = follower.feed(full[5:10], FULL)
     assert last is not None and after[0] is not None
     np.testing.assert_array_equal(after[0].T_world_cam, last.T_world_cam)
-    assert follower.tracking.epoch != epoch
+    assert follower.session.epoch != epoch
     start = SOURCE.pose(full[5].stamp_ns)  # of the new map, at the old pose
     T = last.T_world_cam @ se3.inverse(start) @ SOURCE.pose(full[0].stamp_ns)
     assert_true(after, full[5:10], T)
-    assert len(follower.said) == 1
+    assert len(follower.warnings) == 1
     for number in ('320x240', '640x480', '262.5', '525.0'):
-        assert number in follower.said[0]
+        assert number in follower.warnings[0]
     follower.assert_keyframes_are_whole()
 
 
 def test_intrinsics_alone_make_another_camera_and_equal_ones_none() -> None:
     follower, frames = Follower(), frames_of(HALF)
     follower.feed(frames[:3])
-    epoch = follower.tracking.epoch
+    epoch = follower.session.epoch
     follower.feed(frames[3:5], replace(HALF))
-    assert follower.tracking.epoch == epoch
+    assert follower.session.epoch == epoch
     follower.feed(frames[5:7], replace(HALF, fx=HALF.fx + 0.01))
-    assert follower.tracking.epoch != epoch
+    assert follower.session.epoch != epoch
 
 
 def test_a_camera_that_never_gave_a_frame_leaves_no_pose_behind() -> None:
@@ -184,12 +190,12 @@ def test_a_camera_that_never_gave_a_frame_leaves_no_pose_behind() -> None:
 def test_a_clock_that_jumps_back_costs_neither_map_nor_place(back_s: float) -> None:
     follower, frames = Follower(), frames_of(HALF)
     first = follower.feed(frames[:6])
-    epoch, size = follower.tracking.epoch, len(follower.keyframes)
+    epoch, size = follower.session.epoch, len(follower.packets)
     again = follower.feed(frames[6:], by_ns=-int(back_s * SECOND))
     assert_true(first, frames[:6], T_BASE_CAM)
     assert_true(again, frames[6:], T_BASE_CAM)
-    assert follower.tracking.epoch == epoch and len(follower.keyframes) > size
-    assert len(follower.said) == 1 and 'went back' in follower.said[0]
+    assert follower.session.epoch == epoch and len(follower.packets) > size
+    assert len(follower.warnings) == 1 and 'went back' in follower.warnings[0]
     follower.assert_keyframes_are_whole()
 
 
@@ -201,35 +207,35 @@ def test_a_recording_that_is_played_again_gives_its_keyframes_other_names() -> N
         follower.feed(frames)
     follower.assert_keyframes_are_whole()
     stamps = np.array([frame.stamp_ns for frame in frames])
-    off = np.array([np.abs(stamps - name).min() for name in follower.names])
+    off = np.array([np.abs(stamps - name).min() for name in follower.stamps])
     assert (off < 3).all() and {0, 1, 2} == set(off.tolist())
-    assert len(follower.said) == 2 and follower.tracking.counts['refused'] == 0
+    assert len(follower.warnings) == 2 and follower.session.counts['refused'] == 0
 
 
 def test_after_a_reset_the_same_frames_have_other_names_and_another_epoch() -> None:
     follower, frames = Follower(), frames_of(HALF)
     follower.feed(frames[:5])
-    epoch = follower.tracking.epoch
-    follower.tracking.reset()
-    assert follower.tracking.epoch != epoch
-    assert not follower.tracking.alive(np.arange(5)).any()
+    epoch = follower.session.epoch
+    follower.session.reset()
+    assert follower.session.epoch != epoch
+    assert not follower.session.alive(np.arange(5)).any()
     results = follower.feed(frames[:5])
     assert_true(results, frames[:5], T_BASE_CAM)
     follower.assert_keyframes_are_whole()
-    follower.tracking.reset()
+    follower.session.reset()
     results = follower.feed(frames[:5], by_ns=-60 * SECOND)
     assert_true(results, frames[:5], T_BASE_CAM)
-    assert not follower.said
+    assert not follower.warnings
 
 
 def test_frames_that_are_late_are_refused_and_nothing_else_happens() -> None:
     follower, frames = Follower(), frames_of(HALF)
     follower.feed(frames[:5])
-    epoch = follower.tracking.epoch
+    epoch = follower.session.epoch
     late = [frames[3], frames[4], shifted(frames[0], -SECOND // 2)]
     assert follower.feed(late) == [None] * 3
-    assert follower.tracking.counts['refused'] == 3 == len(follower.said)
-    assert follower.tracking.epoch == epoch
+    assert follower.session.counts['refused'] == 3 == len(follower.warnings)
+    assert follower.session.epoch == epoch
     assert_true(follower.feed(frames[5:8]), frames[5:8], T_BASE_CAM)
 
 
@@ -237,7 +243,7 @@ def test_frames_of_another_size_than_camera_info_says_are_refused() -> None:
     follower = Follower()
     follower.feed(frames_of(HALF)[:4])
     assert follower.feed(frames_of(FULL)[4:6]) == [None, None]
-    assert '640x480' in follower.said[0]
+    assert '640x480' in follower.warnings[0]
     assert_true(follower.feed(frames_of(HALF)[6:8]), frames_of(HALF)[6:8], T_BASE_CAM)
 
 
@@ -252,28 +258,28 @@ def update_of(ids: Sequence[int], removed: Sequence[int]) -> MapUpdate:
 
 def test_an_answer_is_taken_if_it_is_of_this_map() -> None:
     follower = Follower()
-    tracking = follower.tracking
-    tracking.answer(update_of([1], [2]), tracking.epoch)  # before there is any map
+    session = follower.session
+    session.apply(update_of([1], [2]), session.epoch)  # before there is any map
     follower.feed(frames_of(HALF)[:3])
-    assert tracking.tracker is not None
-    gaussians, asked = tracking.tracker.gaussians, np.array([3, 4, 5, -1, 10**9], np.int64)
-    assert tracking.alive(asked).tolist() == [True, True, True, False, False]
-    tracking.answer(update_of([4, 10**9], [3]), tracking.epoch % (EPOCHS - 1) + 1)
-    assert tracking.alive(asked).tolist() == [True, True, True, False, False]
-    tracking.answer(update_of([4, 10**9, -7], [3, 3, -1, 10**9]), tracking.epoch)
-    assert tracking.alive(asked).tolist() == [False, True, True, False, False]
+    assert session.tracker is not None
+    gaussians, asked = session.tracker.gaussians, np.array([3, 4, 5, -1, 10**9], np.int64)
+    assert session.alive(asked).tolist() == [True, True, True, False, False]
+    session.apply(update_of([4, 10**9], [3]), session.epoch % (EPOCHS - 1) + 1)
+    assert session.alive(asked).tolist() == [True, True, True, False, False]
+    session.apply(update_of([4, 10**9, -7], [3, 3, -1, 10**9]), session.epoch)
+    assert session.alive(asked).tolist() == [False, True, True, False, False]
     assert gaussians.flatness[gaussians.ids == 4] == 0.5
-    tracking.reset()
-    tracking.answer(update_of([4], [5]), tracking.epoch)
+    session.reset()
+    session.apply(update_of([4], [5]), session.epoch)
 
 
 def test_settings_that_change_hold_at_once_and_for_the_next_map() -> None:
     follower, frames = Follower(), frames_of(HALF)
     follower.feed(frames[:3])
-    follower.tracking.reconfigure(EAGER)
+    follower.session.reconfigure(EAGER)
     results = follower.feed(frames[3:7])
     assert all(result is not None and result.keyframe for result in results)
-    follower.tracking.reset()
+    follower.session.reset()
     results = follower.feed(frames[7:10])
     assert all(result is not None and result.keyframe for result in results)
 
@@ -283,11 +289,11 @@ def test_settings_that_change_hold_at_once_and_for_the_next_map() -> None:
 
 def resumable_of(follower: Follower, stamps_ns: Sequence[int] = ()) -> Resumable:
     """The map as the mapper would have it: discs across the normals."""
-    tracker = follower.tracking.tracker
+    tracker = follower.session.tracker
     assert tracker is not None
     gaussians = tracker.gaussians
     rows = np.zeros(len(gaussians), MAP_GAUSSIAN)
-    rows['id'] = follower.tracking.epoch * EPOCH + gaussians.ids
+    rows['id'] = follower.session.epoch * EPOCH + gaussians.ids
     for k, axis in enumerate('xyz'):
         rows[axis] = gaussians.means[:, k]
     rows['scale_0'] = rows['scale_1'] = 0.02
@@ -297,7 +303,7 @@ def resumable_of(follower: Follower, stamps_ns: Sequence[int] = ()) -> Resumable
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     for k in range(4):
         rows[f'rot_{k}'] = quats[:, k]
-    visited = [keyframe.T_world_cam for _, keyframe in follower.keyframes]
+    visited = [packet.posed.T_world_cam for packet in follower.packets]
     found = Resumable.of(rows, visited, stamps_ns)
     assert found is not None
     return found
@@ -307,10 +313,10 @@ def test_how_often_views_are_mapped_changes_at_once() -> None:
     follower = Follower(override(CONFIG, {'mapping.view_interval': 1000}))
     frames = frames_of(HALF)
     follower.feed(frames[:4])
-    before = len(follower.keyframes)
-    follower.tracking.reconfigure(override(CONFIG, {'mapping.view_interval': 1}))
+    before = len(follower.packets)
+    follower.session.reconfigure(override(CONFIG, {'mapping.view_interval': 1}))
     follower.feed(frames[4:8])
-    assert before < 4 and len(follower.keyframes) == before + 4
+    assert before < 4 and len(follower.packets) == before + 4
 
 
 def test_a_tracker_that_starts_again_goes_on_in_the_same_map() -> None:
@@ -318,14 +324,13 @@ def test_a_tracker_that_starts_again_goes_on_in_the_same_map() -> None:
     before.feed(frames[:8])
     stamps = [frame.stamp_ns for frame in frames[6:10]]
     found, after = resumable_of(before, stamps), Follower(EAGER)
-    after.tracking.resume(found)
+    after.session.resume(found)
     results = after.feed(frames[7:])
     assert_true(results, frames[7:], T_BASE_CAM)
-    assert after.tracking.epoch == before.tracking.epoch
-    highest = max(int(keyframe.ids.max(initial=0)) for _, keyframe in before.keyframes)
-    ids = np.concatenate([keyframe.ids for _, keyframe in after.keyframes])
-    assert len(ids) and ids.min() > highest
-    assert not set(after.names) & set(stamps)  # the mapper has keyframes of these names
+    assert after.session.epoch == before.session.epoch
+    highest = max(id for _, id in before.ids)
+    assert after.ids and min(id for _, id in after.ids) > highest
+    assert not set(after.stamps) & set(stamps)  # the mapper has keyframes of these names
     after.assert_keyframes_are_whole()
 
 
@@ -339,22 +344,22 @@ def test_in_a_map_of_another_place_nothing_is_found_and_nothing_is_made() -> Non
         for f in elsewhere
     ]
     after = Follower()
-    after.tracking.resume(resumable_of(before))
+    after.session.resume(resumable_of(before))
     assert states(after.feed(frames)) == [TrackingState.LOST] * 4
-    assert not after.keyframes
-    after.tracking.reset()
+    assert not after.packets
+    after.session.reset()
     assert states(after.feed(frames[:2], by_ns=SECOND)) == [TrackingState.OK] * 2
-    assert after.tracking.epoch != before.tracking.epoch
+    assert after.session.epoch != before.session.epoch
 
 
 def test_a_reset_before_the_first_frame_is_no_going_on() -> None:
     before, after = Follower(), Follower()
     before.feed(frames_of(HALF)[:4])
-    after.tracking.resume(resumable_of(before))
-    after.tracking.reset()
+    after.session.resume(resumable_of(before))
+    after.session.reset()
     results = after.feed(frames_of(HALF)[:4])
     assert_true(results, frames_of(HALF)[:4], T_BASE_CAM)
-    assert after.tracking.epoch != before.tracking.epoch
+    assert after.session.epoch != before.session.epoch
 
 
 EVENTS = st.lists(
@@ -372,27 +377,27 @@ EVENTS = st.lists(
 def test_whatever_comes_it_goes_on(events: list[str]) -> None:
     """Nothing raises; another map has another epoch; every name and every id is given once."""
     follower, camera, at, by_ns = Follower(), HALF, 0, 0
-    tracking = follower.tracking
-    epochs = [tracking.epoch]
+    session = follower.session
+    epochs = [session.epoch]
     for event in events:
         frame, other = frames_of(camera)[at % FRAMES], HALF if camera == FULL else FULL
-        cameras = tracking.tracker.camera if tracking.tracker is not None else None
+        cameras = session.tracker.camera if session.tracker is not None else None
         if event in ('full', 'half'):
             camera = FULL if event == 'full' else HALF
             follower.feed([frames_of(camera)[at % FRAMES]], camera, by_ns)
             if cameras not in (None, camera):
-                assert tracking.epoch != epochs[-1]
-                epochs.append(tracking.epoch)
+                assert session.epoch != epochs[-1]
+                epochs.append(session.epoch)
         elif event == 'reset':
-            tracking.reset()
-            assert tracking.epoch != epochs[-1]
-            epochs.append(tracking.epoch)
+            session.reset()
+            assert session.epoch != epochs[-1]
+            epochs.append(session.epoch)
         elif event == 'answer':
-            tracking.answer(update_of([1, 5, 10**6], [2, 3]), tracking.epoch)
+            session.apply(update_of([1, 5, 10**6], [2, 3]), session.epoch)
         elif event == 'no answer':
-            tracking.answer(update_of([1], list(range(1000))), 0)
+            session.apply(update_of([1], list(range(1000))), 0)
         elif event == 'settings':
-            tracking.reconfigure(override(CONFIG, {'registration.radius_m': 0.05}))
+            session.reconfigure(override(CONFIG, {'registration.radius_m': 0.05}))
         elif event in ('back', 'forth'):
             by_ns += 7 * SECOND * (-1 if event == 'back' else 1)
         else:
@@ -405,6 +410,6 @@ def test_whatever_comes_it_goes_on(events: list[str]) -> None:
                 color = frame.color // 50 if event == 'dark' else frame.color
                 frame = replace(frame, depth_m=depth_m, color=color)
             follower.feed([frame], camera, by_ns)
-        assert tracking.epoch == epochs[-1]
+        assert session.epoch == epochs[-1]
     assert len(set(epochs)) == len(epochs)
     follower.assert_keyframes_are_whole()

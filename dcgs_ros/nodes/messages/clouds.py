@@ -76,8 +76,8 @@ def read_cloud(cloud: PointCloud2, dtype: np.dtype[Any]) -> NDArray[Any]:
         raise MessageError(f'a point has {step} bytes, its fields {needed}')
     if pitch < width * step or len(cloud.data) < height * pitch:
         raise MessageError(
-            f'{width}x{height} points of {step} bytes in rows of {pitch} bytes are no '
-            f'{len(cloud.data)} bytes'
+            f'{width}x{height} points of {step} bytes in rows of {pitch} bytes do not '
+            f'match {len(cloud.data)} bytes of data'
         )
     data = np.frombuffer(cloud.data, np.uint8)
     rows = np.zeros(width * height, dtype)

@@ -76,7 +76,7 @@ def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
     ids = _whole_ids(rows)
     epochs = np.unique(split_ids(ids)[0])
     if len(epochs) > 1 or (epochs == 0).any():
-        raise MessageError(f'Gaussians of a keyframe are of epochs {epochs[:5].tolist()}')
+        raise MessageError(f'Gaussians of a keyframe are of epochs {epochs[:5].tolist()}, not one')
     T_world_cam = matrix(parts['pose'].pose)
     color = parts['color']
     stamp = stamp_ns(color.header.stamp)
@@ -121,7 +121,7 @@ def read_answer(cloud: PointCloud2) -> tuple[int, MapUpdate]:
     rows = read_cloud(cloud, SHAPE)
     epochs, ids = split_ids(_whole_ids(rows))
     if len(rows) and (epochs.min() != epochs.max() or epochs[0] == 0):
-        raise MessageError(f'an answer is of epochs {epochs.min()} to {epochs.max()}')
+        raise MessageError(f'an answer is of epochs {epochs.min()} to {epochs.max()}, not one')
     normals = np.stack([rows[f'normal_{axis}'] for axis in 'xyz'], axis=1)
     kept = np.isfinite(normals).all(axis=1)
     update = MapUpdate(
@@ -134,5 +134,5 @@ def _whole_ids(rows: NDArray[Any]) -> NDArray[np.int64]:
     """Return the `id` field (N,) as integers; raise `MessageError` where one is not whole."""
     ids = rows['id']
     if not ((np.abs(ids) < EPOCH * EPOCH / 2048) & (ids == np.floor(ids))).all():  # also NaN
-        raise MessageError('an id is no whole number below 2^53')
+        raise MessageError('an id is not a whole number below 2^53')
     return ids.astype(np.int64)

@@ -35,7 +35,7 @@ def matrix(pose: Pose) -> NDArray[np.float64]:
     position, quat_wxyz = (p.x, p.y, p.z), (q.w, q.x, q.y, q.z)
     norm = math.hypot(*quat_wxyz)
     if not math.hypot(*position) < _FARTHEST or not _SHORTEST <= norm < math.inf:
-        raise MessageError(f'position {position}, quaternion wxyz {quat_wxyz} is no pose')
+        raise MessageError(f'position {position}, quaternion wxyz {quat_wxyz} are not a pose')
     return se3.from_quaternion(np.array(quat_wxyz) / norm, np.array(position))
 
 

@@ -41,7 +41,7 @@ WALL_M = 1.5
 def packet_of(
     index: int, epoch: int = 5, first_id: int | None = None, camera: PinholeCamera = CAMERA
 ) -> KeyframePacket:
-    """Pack a keyframe of a wall, from a place of its own; epoch 0: a view without Gaussians."""
+    """Pack a keyframe of a wall, each from another place; epoch 0: a view without Gaussians."""
     T = se3.exp(np.array([0.05 * index, -0.02 * index, 0.0, 0.0, 0.01 * index, 0.0]))
     rays = np.ones((camera.height, camera.width, 3))
     rays[..., :2] = camera.undistortion_map
@@ -124,7 +124,7 @@ def test_keyframes_and_views_of_a_map_go_into_it(
 def test_a_keyframe_that_is_here_already_changes_nothing(
     session: MappingSession, epoch: int
 ) -> None:
-    """Offered once more since its acknowledgement was late, perhaps with more than it had."""
+    """It is sent again when its acknowledgement was late, perhaps with more Gaussians."""
     session.insert(packet_of(0))
     assert session.insert(packet_of(1, epoch)) is not None
     before = state(session)
@@ -134,7 +134,7 @@ def test_a_keyframe_that_is_here_already_changes_nothing(
 
 
 def test_a_late_keyframe_brings_what_is_not_here_yet(session: MappingSession) -> None:
-    """Where the tracker's memory was short one keyframe brings the Gaussians of two."""
+    """Beyond the tracker's memory one keyframe brings the Gaussians of two."""
     session.insert(packet_of(0))
     session.insert(packet_of(2))
     late, here = keyframe_of(packet_of(1)), keyframe_of(packet_of(2))
@@ -189,7 +189,7 @@ UNUSABLE: dict[str, Callable[[KeyframePacket], KeyframePacket]] = {
 def test_what_cannot_be_used_is_counted_warnings_and_costs_nothing(
     session: MappingSession, warnings: list[str], fault: str, epoch: int
 ) -> None:
-    """Not even, where it is of another epoch, the map that there is."""
+    """One of another epoch does not even end the current map."""
     session.insert(packet_of(0))
     before = state(session)
     bad = UNUSABLE[fault](packet_of(2, epoch))
@@ -295,7 +295,7 @@ def test_a_folder_that_cannot_be_written_is_refused_in_words(
     assert state(session) == before
 
 
-def test_a_full_disk_is_told_of(
+def test_a_full_disk_is_an_error_in_words(
     session: MappingSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session.insert(packet_of(0))
@@ -352,7 +352,7 @@ def loss_of(mapper: Mapper) -> float:
 
 
 def test_the_map_is_that_of_the_wall(session: MappingSession) -> None:
-    """The whole way once: what is rendered is what the camera saw."""
+    """After all steps a rendered view is what the camera saw."""
     session.reconfigure(override(CONFIG, {'mapping.final_steps': 200}))
     for k in range(3):
         session.insert(packet_of(k))

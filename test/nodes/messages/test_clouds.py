@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Structured arrays as PointCloud2: the types that travel, any layout, and what is refused."""
+"""Structured arrays as PointCloud2: all row types, any layout, and what is refused."""
 
 from __future__ import annotations
 
@@ -130,8 +130,8 @@ def test_each_field_stands_where_the_message_says(kind: str) -> None:
 
 
 @pytest.mark.parametrize('kind', ['keyframe', 'map', 'shape'])
-def test_ids_come_first_and_no_byte_is_nobodys(kind: str) -> None:
-    """Padding would carry whatever memory held, and make equal rows differ."""
+def test_ids_come_first_and_there_is_no_padding(kind: str) -> None:
+    """Padding would carry arbitrary bytes, and make equal rows differ."""
     dtype = TYPES[kind]
     layout = dtype.fields
     assert layout is not None and layout['id'][1] == 0
@@ -147,7 +147,7 @@ def test_ids_are_exact_as_floating_point(epoch: int, index: int, own: int) -> No
     np.testing.assert_array_equal(read['id'].astype(np.int64), ids)
 
 
-def test_a_removed_gaussian_is_nan_but_for_its_id() -> None:
+def test_a_removed_gaussian_is_nan_except_for_its_id() -> None:
     names = (MAP_GAUSSIAN.names or ())[1:-1]
     removed = np.zeros(1, MAP_GAUSSIAN)
     for name in names:
@@ -189,8 +189,11 @@ def good() -> PointCloud2:
 
 
 BAD_CLOUDS: dict[str, tuple[dict[str, Any], str]] = {
-    'short data': ({'data': bytes(179)}, '5x1 points of 36 bytes in rows of 180 bytes are no 179'),
-    'no data': ({'data': b''}, 'are no 0 bytes'),
+    'short data': (
+        {'data': bytes(179)},
+        '5x1 points of 36 bytes in rows of 180 bytes do not match',
+    ),
+    'no data': ({'data': b''}, 'do not match 0 bytes'),
     'short rows': ({'row_step': 179}, 'in rows of 179 bytes'),
     'no rows': ({'row_step': 0}, 'in rows of 0 bytes'),
     'short points': ({'point_step': 35}, "'qw' ends at byte 36 of a point of 35"),

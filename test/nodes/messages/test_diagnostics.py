@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What /diagnostics gets."""
+"""A node's health as a message."""
 
 from __future__ import annotations
 

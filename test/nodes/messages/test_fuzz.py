@@ -126,7 +126,7 @@ KINDS: tuple[Kind, ...] = (
 
 
 def read_or_refuse(kind: Kind, rng: random.Random) -> bool:
-    """Break a good message in one to three places; whether it could be read nevertheless."""
+    """Break a good message in one to three places; return whether it could still be read."""
     make, faults, read = kind
     message = make()
     for _ in range(rng.randint(1, 3)):

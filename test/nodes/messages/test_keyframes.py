@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keyframes and answers over the wire: exact where they must be, refused where they cannot be."""
+"""Keyframes and answers as messages: exact, or refused."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ E5 = 5.0 * EPOCH
     [[E5, E5 + EPOCH], [-1.0], [E5, -3.0], [0.0], [EPOCH - 1.0], [E5 + 0.5], [np.nan], [np.inf],
      [-np.inf], [2.0**53], [1e300], [E5, np.nan]],
 )  # fmt: skip
-def test_ids_that_are_none_of_one_map_are_refused(ids: list[float]) -> None:
+def test_ids_that_are_not_of_one_map_are_refused(ids: list[float]) -> None:
     with pytest.raises(DcgsError):
         read_keyframe(with_ids(sent(packet_of()), ids))
 

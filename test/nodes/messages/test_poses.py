@@ -90,7 +90,7 @@ def test_a_pose_that_is_not_finite_is_refused(field: str, bad: float) -> None:
     pose = pose_message(np.eye(4))
     part, _, name = field.partition('.')
     setattr(getattr(pose, part), name, bad)
-    with pytest.raises(MessageError, match=rf'{bad}.* is no pose'):
+    with pytest.raises(MessageError, match=rf'{bad}.* are not a pose'):
         matrix(pose)
 
 
@@ -98,7 +98,7 @@ def test_infinities_that_cancel_and_lengths_that_overflow_are_refused_too() -> N
     for position in ((math.inf, -math.inf, 0.0), (1.7e308, 1.7e308, 0.0)):
         pose = pose_message(np.eye(4))
         pose.position.x, pose.position.y, pose.position.z = position
-        with pytest.raises(MessageError, match='is no pose'):
+        with pytest.raises(MessageError, match='are not a pose'):
             matrix(pose)
 
 

@@ -21,7 +21,7 @@ FINE = Streams(color=30, depth=30, pairs=30, dropped=0, has_camera=True, silent_
 
 
 def spectrum() -> Observability:
-    """Of a camera that may well move along its y."""
+    """Return the observability of a camera that is free to move along its y."""
     H = np.diag([1e4, 1e1, 1e4, 1e5, 1e5, 1e5])
     return observability(H, H)
 
@@ -35,7 +35,7 @@ def result_in(state: TrackingState, seen: Observability | None = None) -> TrackR
 GOOD = result_in(TrackingState.OK, spectrum())
 
 
-def test_all_is_well_where_all_is_well() -> None:
+def test_normal_tracking_is_ok() -> None:
     verdict = judge(FINE, GOOD, False)
     assert (verdict.level, verdict.message) == (Level.OK, 'tracking')
 
@@ -51,7 +51,9 @@ def test_all_is_well_where_all_is_well() -> None:
         ({}, 'none could be used'),
     ],
 )
-def test_before_the_first_pose_what_lacks_is_named(lacking: dict[str, Any], named: str) -> None:
+def test_before_the_first_pose_what_is_missing_is_named(
+    lacking: dict[str, Any], named: str
+) -> None:
     verdict = judge(replace(FINE, **lacking), None, False)
     assert verdict.level is Level.ERROR and named in verdict.message
 
@@ -64,7 +66,7 @@ def test_before_the_first_pose_what_lacks_is_named(lacking: dict[str, Any], name
 def test_a_stream_that_ends_is_named_though_the_other_goes_on(
     gone: str, named: str, state: TrackingState
 ) -> None:
-    """The last pose was good; no other will come."""
+    """Even though the last pose was good."""
     lacking: dict[str, Any] = {} if gone == 'slop' else {gone: 0}
     streams = replace(FINE, pairs=0, **lacking)
     verdict = judge(streams, result_in(state, spectrum()), False)
@@ -72,7 +74,7 @@ def test_a_stream_that_ends_is_named_though_the_other_goes_on(
 
 
 def test_a_slow_camera_is_no_broken_one() -> None:
-    """Of an image a second it may be that a report falls between colour and depth."""
+    """At one image a second a report may fall between colour and depth."""
     for color, depth in ((1, 0), (0, 1), (1, 1), (2, 1)):
         streams = replace(FINE, color=color, depth=depth, pairs=0, silent_s=0.9)
         assert judge(streams, GOOD, False).level is Level.OK

@@ -53,7 +53,7 @@ def keyframe_of(packet: KeyframePacket) -> Keyframe:
     return packet.posed
 
 
-def everybody(ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+def all_alive(ids: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.ones(len(ids), np.bool_)
 
 
@@ -101,7 +101,7 @@ class Wire:
 
 @pytest.fixture(autouse=True, scope='module')
 def impatient() -> Iterator[None]:
-    """What takes seconds over a network takes milliseconds here."""
+    """Shorten the waiting times from seconds to milliseconds."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, '_PATIENCE_S', 0.02)
         patch.setattr(module, '_TICK_S', 0.001)
@@ -110,7 +110,7 @@ def impatient() -> Iterator[None]:
 
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is given up as lost while the test runs."""
+    """Let no packet count as lost while the test runs."""
     monkeypatch.setattr(module, '_PATIENCE_S', SOON_S)
 
 
@@ -118,7 +118,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 def running(
     wire: Wire,
     memory_mb: float = PLENTY_MB,
-    alive: Callable[[NDArray[np.int64]], NDArray[np.bool_]] = everybody,
+    alive: Callable[[NDArray[np.int64]], NDArray[np.bool_]] = all_alive,
 ) -> Iterator[KeyframeSender]:
     sender = KeyframeSender(wire, memory_mb, alive)
     try:
@@ -135,7 +135,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 def settle(wire: Wire, sender: KeyframeSender, mapper: Mapper, newest: int) -> None:
-    """Deliver all, and tell what came, until the newest is there and nothing more is missing."""
+    """Deliver and acknowledge everything until the newest has come and nothing is missing."""
 
     def exchange() -> bool:
         while wire.waiting:
@@ -168,7 +168,7 @@ EVENTS = st.lists(
 @settings(max_examples=60, deadline=None)
 @given(EVENTS, st.sampled_from([PLENTY_MB, 0.01, NOTHING_MB]))
 def test_in_the_end_the_mapper_has_every_gaussian(events: list[str], memory_mb: float) -> None:
-    """Whatever is lost, late or restarted, and however little memory there is."""
+    """With any losses, delays and restarts, and with hardly any memory."""
     wire, mapper = Wire(), Mapper()
     given_out = 0
     with running(wire, memory_mb) as sender:
@@ -241,7 +241,7 @@ def test_what_the_mapper_has_is_thinned_too_and_comes_back_if_it_restarts() -> N
 
 @pytest.mark.parametrize('told', [[0], [1], [0, 1], []])
 def test_thinning_gives_nothing_to_a_keyframe_that_will_not_be_sent(told: list[int]) -> None:
-    """The mapper that has one of two keyframes is still given the other's Gaussians."""
+    """A mapper that has one of two keyframes still gets the other's Gaussians."""
     wire, mapper = Wire(), Mapper()
     with running(wire, 600e-6) as sender:  # two keyframes fit, three do not
         for k in range(2):
@@ -263,7 +263,7 @@ def test_thinning_gives_nothing_to_a_keyframe_that_will_not_be_sent(told: list[i
 
 
 def test_what_is_sent_again_is_what_it_was() -> None:
-    """But for the JPEG; depth as the wire has it, to the millimetre, and none beyond its range."""
+    """Except for the JPEG; depth in millimetres, as it is sent, and 0 beyond the range."""
     v, u = np.mgrid[:24, :32]
     color = np.stack([200 + u, 3 * v, 60 - u], axis=-1).astype(np.uint8)
     depth_m = (0.5 + 0.0301 * u + 0.0007 * v).astype(np.float32)
@@ -296,7 +296,7 @@ def test_what_is_sent_again_is_what_it_was() -> None:
 
 
 def test_images_are_not_kept_as_they_were() -> None:
-    """They would take many times the memory that was allowed."""
+    """They would take many times the allowed memory."""
     wire, sent = Wire(up=False), packet_of(5, range(4))
     images: list[weakref.ref[Any]] = [
         weakref.ref(sent.posed.frame.color),
@@ -396,7 +396,7 @@ def test_putting_never_waits_for_a_transport_that_does() -> None:
 def test_closing_does_not_wait_for_what_waits() -> None:
     wire, go_on = Wire(), threading.Event()
     wire.on_send = lambda: go_on.wait(SOON_S)
-    sender = KeyframeSender(wire, PLENTY_MB, everybody)
+    sender = KeyframeSender(wire, PLENTY_MB, all_alive)
     for k in range(200):
         sender.put(packet_of(k, range(k, k + 1)))
     closing = threading.Thread(target=sender.close)
@@ -434,7 +434,7 @@ def test_one_keyframe_that_cannot_be_sent_holds_no_other_up(fault: str) -> None:
     def alive(ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         if fault == 'made' and 0 in ids:
             raise IndexError('nobody knows')
-        return everybody(ids)
+        return all_alive(ids)
 
     wire, mapper = Choosy(up=False), Mapper()
     with running(wire, alive=alive) as sender:
@@ -455,7 +455,7 @@ def test_one_keyframe_that_cannot_be_sent_holds_no_other_up(fault: str) -> None:
 
 @pytest.mark.parametrize('told', [True, False])
 def test_of_a_map_that_is_over_nothing_is_sent_any_more(told: bool) -> None:
-    """Neither what was kept nor what still waited for the sender; the next map tells it too."""
+    """Neither what was kept nor what still waited, also if only the next map tells the sender."""
     wire, mapper = Wire(), Mapper()
     busy, go_on = threading.Event(), threading.Event()
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pairing by stamp, whatever the network does to the streams."""
+"""Pairing by stamp, with losses, delays and disorder."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SOUP = st.lists(
 def fed(
     pairing: ImagePairing[int, int], events: Iterable[Event]
 ) -> list[list[ImagePair[int, int]]]:
-    """Return what leaves after each event; an item is its stamp."""
+    """Return the pairs that leave after each event; an item is its stamp."""
     return [getattr(pairing, stream)(START + at, START + at) for stream, at in events]
 
 
@@ -91,7 +91,7 @@ def test_perfect_streams_lose_nothing_however_they_interleave(order: list[str]) 
 def test_of_a_stream_with_drops_every_image_that_has_its_partner_is_paired(
     offset_ms: int, seed: int, lossy: str
 ) -> None:
-    """A fifth is dropped; depth is a constant time off."""
+    """A fifth is dropped; depth is off by a constant time."""
     draw = random.Random(seed)
     kept = {'color': set(range(100)), 'depth': set(range(100))}
     kept[lossy] = {k for k in range(100) if draw.random() > 0.2}

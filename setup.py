@@ -37,7 +37,7 @@ setup(
         'opencv-python-headless>=4.8',
         'scipy>=1.11',
         'tqdm>=4.64',
-        'tyro>=0.9',
+        'tyro>=0.9.1',
     ],
     extras_require={
         # ROS 2 without ROS 2. Never on a sourced Jazzy, whose own rclpy must be the one used.

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Accuracy of the tracker: `python -m benchmarks.accuracy [--seeds 5] [--data FOLDER]`.
 
-Synthetic scenes over several seeds, and the real sequences found in FOLDER. A line an experiment:
-ATE of each seed, their mean, and the tracker's own estimate of the colour-depth offset.
+Synthetic scenes with several seeds, and the real sequences found in FOLDER. Prints a line per
+experiment: ATE of each seed and their mean, RPE, keyframes, the estimated colour-depth offset, and
+lost frames.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ import numpy as np
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.tracking.tracker import Tracker, TrackResult
+from dcgs_ros.core.tracking.result import TrackResult
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
@@ -39,7 +41,7 @@ ABLATIONS = ('full', 'sigma_t', 'shared', 'shared_klt')
 
 @dataclass(frozen=True)
 class Score:
-    """What one run came to."""
+    """Errors and counts of one run."""
 
     ate_cm: float
     rpe_cm: float
@@ -50,7 +52,7 @@ class Score:
 
 
 def score(source: Source, frames: Sequence[RgbdFrame], ablation: str) -> Score:
-    """Track frames that are already in memory and compare with the source's truth."""
+    """Track `frames`, which are in memory, and compare with the source's ground truth."""
     config = override(Config(sensor=source.sensor), {'ablation': ablation})
     tracker = Tracker(source.camera, config)
     results = [tracker.track(frame) for frame in frames]

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What mapping makes of sequences: `python -m benchmarks.mapping [--data FOLDER] [--only NAME]`.
+"""Quality of maps: `python -m benchmarks.mapping [--data FOLDER] [--only NAME]`.
 
 Runs `dcgs run` on the real sequences found in FOLDER and on the synthetic room, in every mode, and
-compares all frames. Tables: the images; what they cost, and what tracking has of it; and how far
-the means of the tracker's Gaussians go from where they were measured, and how flat Sigma_r gets.
+compares all frames. Tables: rendering scores; time, memory and tracking; and how far the means of
+the tracker's Gaussians moved from where they were measured, and how flat Sigma_r is.
 
-With --memory instead: how much the process holds, with a large map and over a long run.
+With --memory instead: memory with a large map, and over a long run.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ MODES: dict[str, tuple[str, ...]] = {
     'online': ('--online',),
 }
 TRACKED_ONLY = ('--no-mapping',)
-UNBOUNDED = 1e6
+UNBOUNDED = 1e6  # sigmas
 
 
 def run(address: str, options: Sequence[str]) -> dict[str, Any]:
-    """Run the sequence as a user would, every frame compared; returns its report."""
+    """Run `dcgs run`, comparing every frame, and return its report."""
     with TemporaryDirectory() as folder:
         command = [sys.executable, '-m', 'dcgs_ros.cli', 'run', address, *options]
         command += ['--render-every', '1', '--out', f'{folder}/run']
@@ -63,21 +63,21 @@ def run(address: str, options: Sequence[str]) -> dict[str, Any]:
         return report
 
 
-def markdown(*cells: str) -> None:
-    """Print a row."""
+def print_row(*cells: str) -> None:
+    """Print a row of a Markdown table."""
     print(f'| {" | ".join(cells)} |', flush=True)
 
 
-def heading(title: str, *columns: str) -> None:
-    """Begin a table."""
+def print_head(title: str, *columns: str) -> None:
+    """Print the title and the head of a Markdown table."""
     print(f'\n{title}\n')
-    markdown(*columns)
-    markdown(*['---'] * len(columns))
+    print_row(*columns)
+    print_row(*['---'] * len(columns))
 
 
 def show_images(reports: dict[tuple[str, str], dict[str, Any]]) -> None:
-    """Print how the maps render: PSNR in dB, SSIM and LPIPS under each protocol."""
-    heading(
+    """Print PSNR in dB, SSIM and LPIPS of the maps under each protocol."""
+    print_head(
         'PSNR dB / SSIM / LPIPS, all frames',
         'sequence, mode', 'raw', 'interpolated', 'depth-masked', 'keyframes, raw', 'others, raw',
         'transmittance',
@@ -88,7 +88,7 @@ def show_images(reports: dict[tuple[str, str], dict[str, Any]]) -> None:
             rendering[key] for key in ('interpolated', 'depth_masked', 'keyframes', 'others')
         )
         scores = [_scores(group) for group in (rendering, *groups)]
-        markdown(f'{name}, {mode}', *scores, f'{rendering["mean_transmittance"]:.4f}')
+        print_row(f'{name}, {mode}', *scores, f'{rendering["mean_transmittance"]:.4f}')
 
 
 def _scores(means: dict[str, Any]) -> str:
@@ -102,15 +102,15 @@ def _scores(means: dict[str, Any]) -> str:
 def show_costs(
     reports: dict[tuple[str, str], dict[str, Any]], tracked_only: dict[str, dict[str, Any]]
 ) -> None:
-    """Print what the maps took, and the tracking beside them."""
-    heading(
+    """Print the cost of the maps, and tracking with and without mapping."""
+    print_head(
         'What it took, and tracking with and without it',
         'sequence, mode', 'Gaussians', 'steps', 'mapping s', 'tracker p95 ms', 'dropped',
         'ATE cm', 'ATE cm without mapping', 'peak MB',
     )  # fmt: skip
     for (name, mode), report in reports.items():
         mapping = report['mapping']
-        markdown(
+        print_row(
             f'{name}, {mode}', f'{mapping["gaussians"]}', f'{mapping["iterations"]}',
             f'{mapping["iterations"] / mapping["iterations_per_s"]:.0f}',
             f'{report["tracking"]["ms_p95"]:.1f}', f'{report["dropped"]}',
@@ -124,15 +124,17 @@ def _ate_cm(report: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class Claim:
-    """What a run did to the tracker's Gaussians that are left at its end."""
+class MeanShifts:
+    """How mapping changed the tracker's Gaussians that are left at the end of a run."""
 
-    moved: NDArray[np.floating]  # (N,) from where each was measured, in sigma_z of its depth then
+    moved: NDArray[
+        np.floating
+    ]  # (N,) distances from the measured means, in sigma_z of their depth
     flatness: NDArray[np.floating]  # (N,) lambda3 / lambda2 of Sigma_r
 
 
-def claim(source: Source, reach_sigmas: float) -> Claim:
-    """Track and map in lockstep, and see how far means came, relative to their host keyframes."""
+def mean_shifts(source: Source, reach_sigmas: float) -> MeanShifts:
+    """Track and map in lockstep; return how far means moved relative to their host keyframes."""
     config = override(Config(sensor=source.sensor), {'mapping.reach_sigmas': reach_sigmas})
     with closing(Workers(cores())) as workers:
         tracker = Tracker(source.camera, config)
@@ -148,20 +150,20 @@ def claim(source: Source, reach_sigmas: float) -> Claim:
     columns = np.flatnonzero(table.ids >= 0)
     shifts = table.splats.means[:, columns] - table.anchors[:, columns]
     sigma_z = table.reach_m[columns] / reach_sigmas
-    return Claim(np.linalg.norm(shifts, axis=0) / sigma_z, table.splats.shape(columns)[1])
+    return MeanShifts(np.linalg.norm(shifts, axis=0) / sigma_z, table.splats.shape(columns)[1])
 
 
-def show_claims(addresses: Sequence[str]) -> None:
+def show_mean_shifts(addresses: Sequence[str]) -> None:
     """Print how far means moved, and how flat Sigma_r is."""
-    heading(
+    print_head(
         "How far the means of the tracker's Gaussians moved, in sigma_z, and Sigma_r",
         'sequence', 'reach', 'Gaussians', 'moved: median', '97.5 %', 'within 1 sigma_z',
         'lambda3 / lambda2: quartiles',
     )  # fmt: skip
     for address in addresses:
         for reach_sigmas in (Config().mapping.reach_sigmas, UNBOUNDED):
-            found = claim(open_source(address), reach_sigmas)
-            markdown(
+            found = mean_shifts(open_source(address), reach_sigmas)
+            print_row(
                 Path(address).name,
                 'none' if reach_sigmas == UNBOUNDED else f'{reach_sigmas:g}',
                 str(len(found.moved)),
@@ -172,7 +174,7 @@ def show_claims(addresses: Sequence[str]) -> None:
 
 
 def sequences(data: Path, only: str) -> Iterator[str]:
-    """Addresses of what there is, of those whose names contain `only`."""
+    """Yield the addresses of the available sequences whose names contain `only`."""
     for name in REAL:
         if only in name and (data / name).is_dir():
             yield str(data / name)
@@ -182,8 +184,8 @@ def sequences(data: Path, only: str) -> Iterator[str]:
         yield SYNTHETIC
 
 
-def quality(addresses: Sequence[str]) -> None:
-    """Print the tables of the runs."""
+def show_quality(addresses: Sequence[str]) -> None:
+    """Run all modes of all sequences and print the tables."""
     reports, tracked_only = {}, {}
     for address in addresses:
         name = Path(address).name
@@ -194,22 +196,24 @@ def quality(addresses: Sequence[str]) -> None:
             print(f'{name}, {mode}: {psnr_db:.2f} dB', file=sys.stderr, flush=True)
     show_images(reports)
     show_costs(reports, tracked_only)
-    show_claims(addresses)
+    show_mean_shifts(addresses)
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--data', type=Path, default=os.environ.get('DCGS_TEST_DATA', '.'))
-    parser.add_argument('--only', default='', metavar='NAME', help='or a part of it')
+    parser.add_argument(
+        '--only', default='', metavar='NAME', help='sequences whose name contains this'
+    )
     parser.add_argument('--memory', action='store_true')
-    parser.add_argument('--plot', type=Path, metavar='FILE.png', help='of the memory')
+    parser.add_argument('--plot', type=Path, metavar='FILE.png', help='plot the memory')
     arguments = parser.parse_args()
     print(machine())
     if arguments.memory:
         memory.show(arguments.plot)
     else:
-        quality(list(sequences(arguments.data, arguments.only)))
+        show_quality(list(sequences(arguments.data, arguments.only)))
 
 
 if __name__ == '__main__':

@@ -1,13 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much memory mapping takes; each experiment in a process of its own.
-
-`python -m benchmarks.mapping --memory` runs them.
-"""
+"""Memory of mapping, measured in fresh processes: `python -m benchmarks.mapping --memory`."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
@@ -30,9 +26,9 @@ from dcgs_ros.core.slam import Lockstep
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.prefetch import prefetch
-from dcgs_ros.evaluation.host import peak_rss_mb
+from dcgs_ros.evaluation.host import peak_rss_mb, rss_mb
 
-from .panels import draw_panels
+from .plots import draw_plots
 
 Result = TypeVar('Result')
 
@@ -43,7 +39,7 @@ SAMPLE_EVERY, SHOW_EVERY = 30, 300  # frames
 
 
 class Sample(NamedTuple):
-    """What a process holds after some frames."""
+    """Memory and sizes after some frames."""
 
     frame: int
     rss_mb: float
@@ -54,7 +50,7 @@ class Sample(NamedTuple):
 
 
 def full_map(gaussians: int, keyframes: int, steps: int) -> float:
-    """Peak in MB of a mapper with so many Gaussians, most of them in view of every keyframe."""
+    """Return the peak in MB of a mapper with a map that most keyframes see most of."""
     source = open_source(f'synthetic:room?frames={keyframes}')
     caps = {'mapping.max_gaussians': gaussians, 'mapping.spawn_stride_px': 64}
     config = override(Config(sensor=source.sensor), caps)
@@ -80,7 +76,7 @@ def _keyframe(
     first: int,
     count: int,
 ) -> Keyframe:
-    """Spawn `count` Gaussians that face the camera, at any pixels that have depth."""
+    """Return a keyframe with `count` Gaussians that face the camera at pixels with depth."""
     v, u = np.nonzero(frame.depth_m)
     some = np.sort(np.random.default_rng(first).choice(len(v), count, replace=False))
     v, u = v[some], u[some]
@@ -95,7 +91,7 @@ def _keyframe(
 
 
 def long_run(address: str, every: int) -> list[Sample]:
-    """Track and map a sequence in lockstep; a sample after each `every` frames."""
+    """Track and map a sequence in lockstep; return a sample after each `every` frames."""
     source = open_source(address)
     config = Config(sensor=source.sensor)
     samples = []
@@ -115,8 +111,9 @@ def long_run(address: str, every: int) -> list[Sample]:
 
 def _sample(count: int, mapper: Mapper, tracker: Tracker) -> Sample:
     images_mb = 1e-6 * sum(view.bytes for view in mapper.views)
-    tracked = len(tracker.gaussians)
-    return Sample(count, rss_mb(), len(mapper.table), tracked, len(mapper.views), images_mb)
+    tracked, held_mb = len(tracker.gaussians), rss_mb()
+    assert held_mb is not None
+    return Sample(count, held_mb, len(mapper.table), tracked, len(mapper.views), images_mb)
 
 
 def _progress(sample: Sample) -> None:
@@ -128,38 +125,30 @@ def _progress(sample: Sample) -> None:
         )
 
 
-def rss_mb(process: int | str = 'self') -> float:
-    """Read what a process, by its number or this one, holds now, 10^6 bytes."""
-    status = Path(f'/proc/{process}/status').read_text()
-    found = re.search(r'^VmRSS:\s*(\d+) kB$', status, re.MULTILINE)
-    assert found is not None, f'process {process} has ended'
-    return int(found[1]) * 1024e-6
-
-
-def _alone(work: Callable[..., Result], *arguments: Any) -> Result:
-    """Call it in a fresh process."""
+def _in_fresh_process(work: Callable[..., Result], *arguments: Any) -> Result:
+    """Return what `work` returns in a fresh process, which has its own peak of memory."""
     with ProcessPoolExecutor(1, get_context('spawn')) as process:
         return process.submit(work, *arguments).result()
 
 
 def plot(path: Path, samples: Sequence[Sample]) -> None:
-    """Draw memory and Gaussians over the frames."""
+    """Plot memory and Gaussians over the frames."""
     frames, held_mb, gaussians, tracked, _, images_mb = np.array(samples).T
-    panels = (
+    plots = (
         ('MB', {'whole process (RSS)': held_mb, "keyframes' images": images_mb}),
         (
             'Gaussians / 1000',
             {"mapper's": gaussians / 1000, "of them the tracker's": tracked / 1000},
         ),
     )
-    draw_panels(path, ('frames', frames), panels, LONG_RUN)
+    draw_plots(path, ('frames', frames), plots, LONG_RUN)
 
 
 def show(path: Path | None) -> None:
-    """Run both; draw the long one into `path`."""
-    peak_mb = _alone(full_map, GAUSSIANS, KEYFRAMES, STEPS)
+    """Run both experiments; plot the long run to `path`."""
+    peak_mb = _in_fresh_process(full_map, GAUSSIANS, KEYFRAMES, STEPS)
     print(f'peak after {STEPS} steps: {peak_mb:.0f} MB (at most {MAX_PEAK_MB:.0f})', flush=True)
     print(f"\n{LONG_RUN}, lockstep\nframes    RSS MB   Gaussians  tracker's   views  images MB")
-    samples = _alone(long_run, LONG_RUN, SAMPLE_EVERY)
+    samples = _in_fresh_process(long_run, LONG_RUN, SAMPLE_EVERY)
     if path is not None:
         plot(path, samples)

@@ -3,10 +3,10 @@
 """Speed of renderer and mapper: `python -m benchmarks.rendering [--repeats 15] [--plot FILE]`.
 
 A mapper with one view of a synthetic surface, all of whose Gaussians are in the image. Tables: the
-parts of an optimisation step, for one and two threads; their cost against Gaussians and pixels;
-the renderer against the tests' reference in torch; and how long the kernels take to compile. Times
-are medians over turns that the rows of a table take, so that a change of the machine's speed meets
-all of them.
+parts of an optimisation step with one and two threads; their cost by Gaussians and by pixels; the
+renderer against the tests' reference in torch; and the time to compile the kernels. The rows of a
+table are measured in turns, so that changes of the machine's speed affect all of them; times are
+medians over the turns.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.mapping.losses import ImageLoss
 from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.rectification import Rectifier
 from dcgs_ros.core.mapping.splats import PLANES
-from dcgs_ros.core.mapping.views import KeyframeView, Rectifier
+from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import View
 from dcgs_ros.evaluation.host import machine
 
-from .surface import wavy
+from .gaussian_surface import wavy_surface
 
 PHASES = ('target', 'render', 'loss', 'backward', 'Adam')
 RENDER = PHASES.index('render')
 THREADS = (1, 2)
 COUNTS = (20_000, 50_000, 100_000, 200_000, 400_000)
 SIZES = ((160, 120), (320, 240), (640, 480), (1280, 960))
-COUNT, SIZE = 100_000, (640, 480)  # while the other one changes
-STEPS = 4  # of a turn: one of them fits the exposure
+COUNT, SIZE = 100_000, (640, 480)  # held fixed while the other varies
+STEPS = 4  # in a turn; one of them fits the exposure
 REFERENCE_REPEATS = 2
 ROOT = Path(__file__).parents[1]
 
 
 class Case(NamedTuple):
-    """A row: what is rendered, and by how many threads."""
+    """A row of a table: what is rendered, and with how many threads."""
 
     gaussians: int
     size: tuple[int, int]  # width, height
     threads: int = 2
-    shuffled: bool = False  # else in the order of the image, as a keyframe's Gaussians are
+    shuffled: bool = False  # else in the order of the image, as when a keyframe spawns them
 
     def __str__(self) -> str:
         """Name the row."""
@@ -66,29 +67,29 @@ class Case(NamedTuple):
         return f'{width}x{height} {self.gaussians // 1000}k{order}, {threads}'
 
 
-class Demand(NamedTuple):
-    """What a case has to reach, and should; None: nothing is asked."""
+class Requirement(NamedTuple):
+    """Required and desired speed of a case; None: no requirement."""
 
     case: Case
     steps_per_s: tuple[float, float]
     render_ms: tuple[float, float] | None
 
 
-DEMANDS = (
-    Demand(Case(100_000, (640, 480)), (20, 30), (15, 9)),
-    Demand(Case(50_000, (320, 240)), (55, 80), None),
+REQUIREMENTS = (
+    Requirement(Case(100_000, (640, 480)), (20, 30), (15, 9)),
+    Requirement(Case(50_000, (320, 240)), (55, 80), None),
 )
-MIN_RATIO = 50.0  # to the reference
+MIN_RATIO = 50.0  # of the reference's time to ours
 MAX_COMPILE_S = {'cold': 15.0, 'cached': 2.0}
 
 
 class Bench:
-    """A mapper that looks at one view again and again, with learning rates of zero."""
+    """A mapper that optimises one view repeatedly, with learning rates of zero."""
 
     def __init__(self, case: Case) -> None:
-        """Make the scene, and its keyframe from a rendering with noise."""
-        splats, camera = wavy(case.gaussians, *case.size, case.shuffled)
-        config = override(Config(), {'mapping.trial_visits': 100_000})  # what is hidden stays
+        """Create the scene, and a keyframe from its rendering with noise."""
+        splats, camera = wavy_surface(case.gaussians, *case.size, case.shuffled)
+        config = override(Config(), {'mapping.trial_visits': 100_000})  # keep hidden Gaussians
         workers = Workers(case.threads)
         self.workers, self.renderer = workers, CpuRenderer(workers)
         self.mapper = Mapper(camera, config, self.renderer, workers)
@@ -117,7 +118,7 @@ class Bench:
         self.mapper.step(rate=0.0, replay=True)
 
     def parts(self) -> NDArray[np.float64]:
-        """Milliseconds (5,) of the parts of a step."""
+        """Return milliseconds (5,) of the parts of a step, as in `PHASES`."""
         times = [time.perf_counter()]
         target = self.keyframe.target(self.valid, 1, self.workers)
         times.append(time.perf_counter())
@@ -134,8 +135,8 @@ class Bench:
         return 1e3 * np.diff(times)
 
     def turn(self) -> NDArray[np.float64]:
-        """Milliseconds (6,) of the parts and of a whole step."""
-        self.step()  # another row's data is in the caches
+        """Return milliseconds (6,) of the parts and of a whole step."""
+        self.step()  # the caches hold another row's data
         start = time.perf_counter()
         for _ in range(STEPS):
             self.step()
@@ -145,14 +146,14 @@ class Bench:
 
 
 def seconds(work: Callable[[], Any]) -> float:
-    """Time one call."""
+    """Return how long a call takes."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
 
 
 def measured(cases: Sequence[Case], repeats: int) -> NDArray[np.float64]:
-    """Milliseconds (cases, 6): medians over turns."""
+    """Return milliseconds (cases, 6), medians over `repeats` turns."""
     benches = [Bench(case) for case in cases]
     turns = np.array([[bench.turn() for bench in benches] for _ in range(repeats)])
     for bench in benches:
@@ -161,7 +162,7 @@ def measured(cases: Sequence[Case], repeats: int) -> NDArray[np.float64]:
 
 
 def table(title: str, cases: Sequence[Case], repeats: int) -> NDArray[np.float64]:
-    """Measure, print, and return milliseconds (cases, 6)."""
+    """Measure and print milliseconds (cases, 6), and return them."""
     times = measured(cases, repeats)
     print(f'\n{title}: ms, medians of {repeats} turns')
     print(f'{"":34s}' + ''.join(f'{phase:>9s}' for phase in (*PHASES, 'step', 'steps/s')))
@@ -171,16 +172,16 @@ def table(title: str, cases: Sequence[Case], repeats: int) -> NDArray[np.float64
     return times
 
 
-def demanded(repeats: int) -> None:
-    """Print what the demands ask for, and how it stands against them."""
+def show_requirements(repeats: int) -> None:
+    """Measure the required cases and print their speeds beside the requirements."""
     cases = [
-        demand.case._replace(threads=threads, shuffled=shuffled)
-        for demand in DEMANDS
+        requirement.case._replace(threads=threads, shuffled=shuffled)
+        for requirement in REQUIREMENTS
         for shuffled in (False, True)
         for threads in THREADS
     ]
     times = dict(zip(cases, table('One step', cases, repeats), strict=True))
-    for case, steps_per_s, render_ms in DEMANDS:
+    for case, steps_per_s, render_ms in REQUIREMENTS:
         row, (least, aim) = times[case], steps_per_s
         text = f'{case}: {1e3 / row[-1]:.1f} steps/s (at least {least:g}, aim {aim:g})'
         if render_ms is not None:
@@ -190,12 +191,12 @@ def demanded(repeats: int) -> None:
 
 
 def compare_with_reference() -> None:
-    """Print how long forward and backward pass take the tests' reference, and the renderer."""
+    """Print the time of forward and backward pass, of the tests' reference and of the renderer."""
     import torch  # seconds to load
 
     sys.path.insert(0, str(ROOT / 'test/core/render'))  # `test` itself is no package
     render_tiled = importlib.import_module('reference').render_tiled
-    case = DEMANDS[0].case
+    case = REQUIREMENTS[0].case
     torch.set_num_threads(case.threads)
     bench = Bench(case)
     planes = bench.mapper.table.splats.planes
@@ -230,7 +231,7 @@ def compare_with_reference() -> None:
 
 
 def first_step(import_s: float) -> None:
-    """Print seconds: of the imports, and of the first steps beyond what they take later."""
+    """Print the seconds that the imports take, and the first steps more than later ones."""
     small = Case(2000, (160, 120))
 
     def start() -> None:
@@ -251,7 +252,7 @@ first_step(time.perf_counter() - start)
 
 
 def compilation() -> None:
-    """Print how long the kernels take in a process that has none, and in one that loads them."""
+    """Print how long the kernels take to compile, and to load from the cache."""
     print('\nKernels of renderer, loss and Adam, in a fresh process')
     with TemporaryDirectory() as cache:
         for name, limit_s in MAX_COMPILE_S.items():
@@ -267,7 +268,7 @@ def compilation() -> None:
 
 
 def plot(path: Path, by_count: NDArray[np.float64], by_size: NDArray[np.float64]) -> None:
-    """Draw milliseconds (cases, 6) against COUNTS, and others against SIZES."""
+    """Plot milliseconds (cases, 6) by COUNTS, and others by SIZES."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
@@ -275,11 +276,11 @@ def plot(path: Path, by_count: NDArray[np.float64], by_size: NDArray[np.float64]
     figure = Figure(figsize=(10.0, 4.6), dpi=120, layout='constrained')
     FigureCanvasAgg(figure)
     pixels = [width * height for width, height in SIZES]
-    panels = (
+    plots = (
         (COUNTS, by_count, f'Gaussians, all in an image of {SIZE[0]}x{SIZE[1]}'),
         (pixels, by_size, f'pixels, {COUNT // 1000}k Gaussians'),
     )
-    for ax, (x, times, label) in zip(figure.subplots(1, 2, sharey=True), panels, strict=True):
+    for ax, (x, times, label) in zip(figure.subplots(1, 2, sharey=True), plots, strict=True):
         for phase, ms in zip((*PHASES, 'whole step'), times.T, strict=True):
             ax.loglog(x, ms, 'o-', linewidth=2.4 if phase == 'whole step' else 1.3, label=phase)
         ax.set(xlabel=label, ylabel='ms')
@@ -301,7 +302,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(machine())
     measured([Case(2000, (160, 120))], 1)  # compile
-    demanded(arguments.repeats)
+    show_requirements(arguments.repeats)
     by_count = [Case(count, SIZE, threads) for threads in THREADS for count in COUNTS]
     by_size = [Case(COUNT, size, threads) for threads in THREADS for size in SIZES]
     count_ms = table('Against Gaussians', by_count, arguments.repeats)

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Speed of the tracker: `python -m benchmarks.tracking [SOURCE] [--repeats 3]`.
 
-Frames are in memory; a time is one call of `Tracker.track`, keyframes included. Two tables:
-threads, and the size of the map. Rows of a table take turns frame by frame, so that a change of
-the machine's speed meets all of them.
+Frames are in memory; a time is one call of `Tracker.track`, keyframes included. Two tables: by
+threads and by the size of the map. The rows of a table are measured in turns, frame by frame, so
+that changes of the machine's speed affect all of them.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
 
-_SETTLED = 5  # frames before the clock starts: the map is begun anew with the second
+_WARM_UP = 5  # frames that are not timed: the second one rebuilds the map
 _MAP_SIZES = (50_000, 100_000, 200_000, 500_000)
 
 
-def _padded(tracker: Tracker, size: int) -> None:
-    """Bring the map to `size` Gaussians with copies of itself: the other rooms of a building."""
+def _pad_map(tracker: Tracker, size: int) -> None:
+    """Add shifted copies of the map until it has `size` Gaussians, like rooms of a building."""
     gaussians = tracker.gaussians
     means, normals = gaussians.means.copy(), gaussians.normals.copy()
     flatness = gaussians.flatness.copy()
@@ -45,7 +45,7 @@ def _padded(tracker: Tracker, size: int) -> None:
 def interleaved(
     source: Source, frames: Sequence[RgbdFrame], threads: Sequence[int], sizes: Sequence[int]
 ) -> NDArray[np.float64]:
-    """Milliseconds (rows, frames) of trackers that take turns on the same frames."""
+    """Return milliseconds (rows, frames) of trackers that take turns on the same frames."""
     trackers = [Tracker(source.camera, Config(sensor=source.sensor)) for _ in threads]
     times = np.zeros((len(trackers), len(frames)))
     for k, frame in enumerate(frames):
@@ -54,9 +54,9 @@ def interleaved(
             start = time.perf_counter()
             tracker.track(frame)
             times[row, k] = 1e3 * (time.perf_counter() - start)
-            if k == _SETTLED - 1 and sizes[row]:
-                _padded(tracker, sizes[row])
-    return times[:, _SETTLED:]
+            if k == _WARM_UP - 1 and sizes[row]:
+                _pad_map(tracker, sizes[row])
+    return times[:, _WARM_UP:]
 
 
 def _table(names: Sequence[str], times: NDArray[np.float64]) -> None:

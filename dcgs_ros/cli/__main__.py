@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`python -m dcgs_ros.cli` is `dcgs`."""
+"""The `dcgs` command as `python -m dcgs_ros.cli`."""
 
 import sys
 

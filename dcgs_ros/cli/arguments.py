@@ -1,100 +1,158 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What each verb can be told; nothing heavy is imported here."""
+"""The arguments of each verb, and their `--help`; nothing heavy is imported here."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from ..core.config.presets import Ablation, Quality
 from ..core.errors import DcgsError
 
-Source = Annotated[Positional[str], arg(metavar='SOURCE')]
-OptionalFile = Annotated[Path | None, arg(metavar='FILE')]
-Camera = Annotated[str | None, arg(metavar='PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]')]
+OutputFormat = Literal['mcap', 'sqlite3', 'tum']
+
+
+def _optional(metavar: str, help: str | None = None) -> Any:
+    """Describe an argument that is None by default: its help text says what None means."""
+    return arg(metavar=metavar, help=help, help_behavior_hint='')
+
+
+def _choices(literal: Any) -> str:
+    """Return the metavar of a Literal, as tyro writes it."""
+    return f'{{{",".join(get_args(literal))}}}'
+
+
+Source = Annotated[
+    Positional[str],
+    arg(
+        metavar='SOURCE',
+        help='The sequence: a TUM, Bonn, ScanNet, Replica, 7-Scenes or ICL-NUIM folder, a .sens '
+        'file, or a folder with a dcgs.yaml; a rosbag2 folder, .mcap, .db3 or ROS 1 .bag, '
+        'optionally with ?color=TOPIC&depth=TOPIC; or synthetic:room|plane|zigzag, optionally '
+        'with ?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1. See docs/datasets.md.',
+    ),
+]
+Camera = Annotated[
+    str | None,
+    _optional(
+        'PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]',
+        'Camera of the sequence: fr1, fr2, fr3, bonn, d435i, d435i_848, d435i_1280, scannet, '
+        'replica, 7scenes or icl_nuim, or intrinsics in pixels. By default taken from the '
+        'sequence.',
+    ),
+]
+MaxFrames = Annotated[int | None, _optional('N', 'Stop after N frames. By default use all.')]
+GroundTruth = Annotated[
+    Path | None,
+    _optional('FILE', "Ground truth in TUM's format. By default the sequence's own, if any."),
+]
 
 
 class UsageError(DcgsError):
-    """An argument that makes no sense."""
+    """Arguments that do not fit together or are out of range."""
 
 
 @dataclass(frozen=True)
 class RunArguments:
-    """Track and map a sequence; write trajectory, map, report and pictures into a new folder."""
+    """Track and map a sequence. Writes trajectory, map, report and plots to a new folder."""
 
     source: Source
-    """A folder of TUM, Bonn, ScanNet (or its .sens), Replica, 7-Scenes or ICL-NUIM, or with a
-    dcgs.yaml; a rosbag2 folder, .mcap, .db3 or .bag, to which ?color=TOPIC&depth=TOPIC may be
-    added; or synthetic:room|plane|zigzag[?frames=300&seed=0&sensor=kinect|d435i|ideal&speed=1].
-    docs/datasets.md has all."""
 
-    out: Annotated[Path | None, arg(metavar='DIR')] = None
-    """Folder to write, new or empty; by default runs/NAME-N with the first N that is free."""
+    out: Annotated[Path | None, _optional('DIR')] = None
+    """Output folder, new or empty. By default runs/NAME-1, or the next number that is free."""
 
-    config: OptionalFile = None
-    """YAML file of settings, plain or a ROS 2 parameter file; above --quality and the sensor's
-    own."""
+    config: Annotated[
+        Path | None,
+        _optional(
+            'FILE',
+            "YAML file of settings, plain or as ROS 2 parameters. Overrides the sensor's noise "
+            'model, --quality and --online.',
+        ),
+    ] = None
 
     settings: Annotated[
         tuple[tuple[str, ...], ...],
-        arg(name='set', metavar='STAGE.FIELD=VALUE ...'),
+        arg(
+            name='set',
+            metavar='STAGE.FIELD=VALUE ...',
+            help='Single settings, e.g. --set keyframes.translation_m=0.1 threads=1. Overrides '
+            'everything else.',
+        ),
         UseAppendAction,
     ] = ()
-    """Settings one by one, above all others: --set keyframes.translation_m=0.1 threads=1."""
 
-    ablation: Annotated[str | None, arg(metavar='full|sigma_t|shared|shared_klt')] = None
-    """Both covariances with landmarks; without landmarks; one shared covariance; that with
-    landmarks. By default what --config says, else full."""
+    ablation: Annotated[
+        Ablation | None,
+        _optional(
+            _choices(Ablation),
+            'Parts of the method to use. full: separate tracking and rendering covariances, and '
+            'landmarks. sigma_t: the same without landmarks. shared: one covariance for both, '
+            'without landmarks. shared_klt: one covariance, with landmarks. By default full, '
+            'unless --config says otherwise.',
+        ),
+    ] = None
 
     mapping: bool = True
-    """Without it the run only tracks, and writes no map."""
+    """Build a map. With --no-mapping the camera is only tracked."""
 
-    online: bool = False
-    """Frames come at the sequence's own pace, and the mapper runs free beside the tracker; a frame
-    that a newer one overtakes before the tracker is free is dropped. Not reproducible."""
+    online: Annotated[
+        bool,
+        arg(
+            help='Play the sequence at its recorded pace, with the mapper in its own thread. '
+            'Frames that arrive while the tracker is busy are dropped, so results vary from run '
+            'to run.'
+        ),
+    ] = False
 
-    quality: Annotated[str, arg(metavar='draft|default|high')] = 'default'
-    """How long the mapper optimises: its steps for each frame and after the last."""
+    quality: Annotated[
+        Quality,
+        arg(
+            help='Effort of the mapper: optimisation steps per frame and after the last frame. '
+            'high also uses more Gaussians and views.'
+        ),
+    ] = 'default'
 
     render_every: Annotated[int, arg(metavar='N')] = 5
-    """Of every Nth frame the rendering is compared with the image at the end; 0: of none."""
+    """After the run, compare renderings with the images of every Nth frame. 0: of none."""
 
-    max_frames: Annotated[int | None, arg(metavar='N')] = None
-    """Stop after N frames."""
+    max_frames: MaxFrames = None
 
-    groundtruth: OptionalFile = None
-    """Trajectory to compare with, in TUM's format; by default the dataset's own."""
+    groundtruth: GroundTruth = None
 
     camera: Camera = None
-    """A preset (fr1, fr2, fr3, bonn, d435i, d435i_848, d435i_1280, scannet, replica, 7scenes,
-    icl_nuim), or intrinsics in pixels; by default what the sequence says."""
 
 
 @dataclass(frozen=True)
 class EvaluateArguments:
-    """Compare a trajectory with the truth, and a run's map with the images it was made from.
+    """Compare a trajectory with ground truth, and a run's map with its images.
 
-    ATE is after rigid alignment, RPE over 1 s; the map is compared by PSNR, SSIM and LPIPS.
+    Prints ATE (after rigid alignment), RPE over 1 s, and PSNR, SSIM and LPIPS of the map.
     """
 
     estimate: Annotated[Positional[Path], arg(metavar='RUN|TRAJECTORY')]
-    """Folder of a run; or its trajectory alone: `stamp tx ty tz qx qy qz qw` a line (TUM's)."""
+    """Folder of a run, or a trajectory file in TUM's format: stamp tx ty tz qx qy qz qw."""
 
-    groundtruth: Annotated[Positional[Path | None], arg(metavar='GROUNDTRUTH')] = None
-    """The truth, likewise; poses within 20 ms of each other are compared. A run's source may have
-    its own."""
+    groundtruth: Annotated[
+        Positional[Path | None],
+        _optional(
+            '[GROUNDTRUTH]',
+            "Ground truth in TUM's format; poses within 20 ms of each other are compared. "
+            "Required for a trajectory file. For a run, by default the sequence's own.",
+        ),
+    ] = None
 
-    source: Annotated[str | None, arg(metavar='SOURCE')] = None
-    """Where the run's images are; by default where they were."""
+    source: Annotated[str | None, _optional('SOURCE')] = None
+    """The run's sequence, if it has moved. By default the one that its report names."""
 
-    camera: Camera = None
-    """Of the source; by default as it was for the run."""
+    camera: Annotated[str | None, _optional('PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]')] = None
+    """Camera of the sequence. By default the same as in the run."""
 
     render_every: Annotated[int, arg(metavar='N')] = 1
-    """Of every Nth frame the rendering is compared with the image; 0: of none."""
+    """Compare renderings with the images of every Nth frame. 0: of none."""
 
     json: bool = False
     """Print JSON instead of a table."""
@@ -102,70 +160,72 @@ class EvaluateArguments:
 
 @dataclass(frozen=True)
 class RenderArguments:
-    """Show a map from the poses of a trajectory, as images or as a video."""
+    """Render a map along a trajectory, as images or as a video."""
 
     map: Annotated[Positional[Path], arg(metavar='MAP')]
-    """map.dcgs of a run, or a 3DGS .ply; a .ply knows no camera."""
+    """A run's map.dcgs, or a 3DGS .ply, which needs --camera."""
 
-    trajectory: Annotated[Path, arg(metavar='FILE')]
-    """Poses in TUM's format. Between the map's keyframes they are corrected as the mapper
-    corrected those."""
+    trajectory: Annotated[
+        Path,
+        arg(
+            metavar='FILE',
+            help="Poses in TUM's format. Between the first and the last keyframe of a map.dcgs "
+            'they get the corrections that the mapper made to its keyframes.',
+        ),
+    ]
 
-    out: Annotated[Path | None, arg(metavar='DIR|VIDEO')] = None
-    """New folder for numbered PNGs, or a video ending with .mp4 or .avi; by default runs/MAP-N."""
+    out: Annotated[Path | None, _optional('DIR|VIDEO')] = None
+    """New folder for numbered PNGs, or a video file (.mp4, .avi). By default runs/MAP-1, ..."""
 
-    camera: Camera = None
-    """Camera instead of the map's; without distortion."""
+    camera: Annotated[str | None, _optional('PRESET|fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]')] = None
+    """Camera to render with, without distortion. By default the map's."""
 
-    size: Annotated[str | None, arg(metavar='WIDTHxHEIGHT')] = None
-    """Of the images, in pixels, where --camera gives numbers."""
+    size: Annotated[str | None, _optional('WIDTHxHEIGHT')] = None
+    """Size of the images in pixels. Required if --camera gives numbers."""
 
     depth: bool = False
-    """Write depth too, as PNGs of 16 bits in millimetres; 0 where the map shows nothing."""
+    """Write depth too, as 16-bit PNGs in millimetres; 0 where nothing is seen."""
 
 
 @dataclass(frozen=True)
 class InfoArguments:
-    """Describe a sequence: its camera, its timing, and what its first frames hold."""
+    """Describe a sequence: its camera, its timing, and the content of its first frames."""
 
     source: Source
-    """A sequence in any format, as for run."""
 
     camera: Camera = None
-    """A preset (fr1, fr2, fr3, bonn, d435i, d435i_848, d435i_1280, scannet, replica, 7scenes,
-    icl_nuim), or intrinsics in pixels; by default what the sequence says."""
 
 
 @dataclass(frozen=True)
 class ConvertArguments:
-    """Write a sequence as a rosbag2 with a RealSense's topics, or as a folder in TUM's layout.
+    """Convert a sequence to a rosbag2 with a RealSense's topics, or to a TUM folder.
 
-    Stamps stay as they are, and so do colour and depth unless something else is said at the end.
-    Of a trajectory or an IMU a rosbag2 has what was measured while the frames were. What does not
-    come to an end leaves nothing behind.
+    The summary at the end names what the format could not hold. Ground truth and IMU data of a
+    rosbag2 are cut to the time of the frames. Stopped early, nothing is written.
     """
 
     source: Source
-    """A sequence in any format, as for run."""
 
     dest: Annotated[Positional[Path], arg(metavar='DEST')]
-    """Folder to write, new or empty."""
+    """Output folder, new or empty."""
 
-    format: Annotated[str | None, arg(metavar='mcap|sqlite3|tum')] = None
-    """A rosbag2 in either storage, or a TUM folder; by default sqlite3 for a DEST that ends with
-    .db3, tum for .tum, else mcap."""
+    format: Annotated[
+        OutputFormat | None,
+        _optional(
+            _choices(OutputFormat),
+            'A rosbag2 in mcap or sqlite3 storage, or a TUM folder. By default sqlite3 if DEST '
+            'ends with .db3, tum if it ends with .tum, else mcap.',
+        ),
+    ] = None
 
     compress: bool = False
-    """Colour as JPEG (quality 95) and depth as PNG of whole millimetres: CompressedImage."""
+    """Write CompressedImage: colour as JPEG (quality 95), depth as PNG in whole millimetres."""
 
     zstd: bool = False
-    """Compress the recording without loss: chunks of an mcap, messages of a sqlite3."""
+    """Compress the rosbag2 without loss: chunks of an mcap, messages of a sqlite3."""
 
     camera: Camera = None
-    """Of the source, as for run."""
 
-    groundtruth: OptionalFile = None
-    """Trajectory to write along, in TUM's format; by default the dataset's own."""
+    groundtruth: GroundTruth = None
 
-    max_frames: Annotated[int | None, arg(metavar='N')] = None
-    """Stop after N frames."""
+    max_frames: MaxFrames = None

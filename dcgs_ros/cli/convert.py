@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs convert`: a sequence into a rosbag2 or a TUM folder, whole or not at all."""
+"""`dcgs convert`: write a sequence as a rosbag2 or a TUM folder, complete or not at all."""
 
 from __future__ import annotations
 
@@ -16,38 +16,40 @@ from tqdm import tqdm
 
 from ..core.errors import DcgsError
 from ..core.frame import RgbdFrame
-from ..datasets.bag.writing.storage import STORAGES, BagOptions
+from ..datasets.bag.writing.storage import BagOptions
 from ..datasets.bag.writing.writer import write_bag
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source, SourceError
 from ..datasets.tum.writer import write_tum_folder
 from ..io.whole_files import staged_folder
-from .arguments import ConvertArguments, UsageError
-from .run.outputs import refuse_used
+from .arguments import ConvertArguments, OutputFormat, UsageError
+from .folders import refuse_used
 from .stopping import StopSignals
 from .tables import Row, table
 
-_FORMATS = (*STORAGES, 'tum')
-_BY_SUFFIX = {'.db3': 'sqlite3', '.tum': 'tum'}
-_NAMED = 10  # bad frames in the summary; the rest is counted
+_BY_SUFFIX: dict[str, OutputFormat] = {'.db3': 'sqlite3', '.tum': 'tum'}
+_NAMED = 10  # bad frames that the summary names; the others are only counted
 
 
 class _StoppedError(DcgsError):
-    """A signal came."""
+    """SIGINT or SIGTERM was received."""
 
 
 @dataclass
-class _Passed:
-    """What came by."""
+class _FrameFilter:
+    """Passes the good frames on, and records what it has seen."""
 
     stamps_ns: list[int] = field(default_factory=list)
     bad: list[BadFrame] = field(default_factory=list)
 
-    def frames(
+    def good(
         self, items: Iterable[RgbdFrame | BadFrame], stopped: Callable[[], bool]
     ) -> Iterator[RgbdFrame]:
-        """Let the good frames by; raises `SourceError` where there was none, `_StoppedError`."""
+        """Yield the good frames.
+
+        Raises `SourceError` after the last item if there was none, `_StoppedError` once `stopped`.
+        """
         for item in items:
             if stopped():
                 raise _StoppedError
@@ -62,11 +64,11 @@ class _Passed:
 
 
 def execute(arguments: ConvertArguments) -> int:
-    """Convert the sequence; where a signal comes before the end, nothing is written."""
-    kind = _check(arguments)
+    """Convert the sequence and return the exit status; if it is stopped, nothing is written."""
+    output_format = _check(arguments)
     source = open_source(arguments.source, arguments.camera, arguments.groundtruth)
     total = min(len(source), arguments.max_frames or len(source))
-    passed, start = _Passed(), time.perf_counter()
+    frame_filter, start = _FrameFilter(), time.perf_counter()
     with StopSignals() as stop:
         try:
             with (
@@ -74,50 +76,48 @@ def execute(arguments: ConvertArguments) -> int:
                 closing(prefetch(islice(source, total))) as items,
                 tqdm(items, total=total, unit='frame', disable=None, dynamic_ncols=True) as bar,
             ):
-                frames = passed.frames(bar, lambda: stop.status != 0)
-                lost = _write(kind, folder, source, frames, arguments)
+                frames = frame_filter.good(bar, lambda: stop.status != 0)
+                lost = _write(output_format, folder, source, frames, arguments)
                 if stop.status:
                     raise _StoppedError
         except _StoppedError:
             print(f'dcgs: stopped; {arguments.dest} is not written', file=sys.stderr)
             return stop.status
-    rows = _rows(arguments.dest, passed, lost, time.perf_counter() - start)
-    print(table(f'{source.name} as {kind}', rows), flush=True)
+    rows = _rows(arguments.dest, frame_filter, lost, time.perf_counter() - start)
+    print(table(f'{source.name} as {output_format}', rows), flush=True)
     return 0
 
 
-def _check(arguments: ConvertArguments) -> str:
-    """Refuse what makes no sense before anything is read; returns the format."""
-    kind = arguments.format or _BY_SUFFIX.get(arguments.dest.suffix, 'mcap')
-    if kind not in _FORMATS:
-        raise UsageError(f'--format {kind}: one of {", ".join(_FORMATS)}')
-    if kind == 'tum' and (arguments.compress or arguments.zstd):
+def _check(arguments: ConvertArguments) -> OutputFormat:
+    """Return the format; raise `UsageError` or `FolderError` before anything is read."""
+    output_format = arguments.format or _BY_SUFFIX.get(arguments.dest.suffix, 'mcap')
+    if output_format == 'tum' and (arguments.compress or arguments.zstd):
         raise UsageError(
             '--compress and --zstd are for a rosbag2: the images of a TUM folder are PNGs'
         )
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise UsageError(f'--max-frames {arguments.max_frames}: at least one frame is needed')
     refuse_used(arguments.dest)
-    return kind
+    return output_format
 
 
 def _write(
-    kind: str,
+    output_format: OutputFormat,
     folder: Path,
     source: Source,
     frames: Iterator[RgbdFrame],
     arguments: ConvertArguments,
 ) -> list[str]:
-    """Write the folder; returns what was lost."""
-    if kind == 'tum':
+    """Write the folder and return what the format could not hold."""
+    if output_format == 'tum':
         return write_tum_folder(folder, source, frames)
-    options = BagOptions(kind, arguments.compress, arguments.zstd)
+    options = BagOptions(output_format, arguments.compress, arguments.zstd)
     return write_bag(folder, source, frames, options)
 
 
-def _rows(dest: Path, passed: _Passed, lost: list[str], seconds: float) -> list[Row]:
-    """Show what was written, and what was not."""
-    frames, bad, stamps_ns = len(passed.stamps_ns), passed.bad, passed.stamps_ns
+def _rows(dest: Path, seen: _FrameFilter, lost: list[str], seconds: float) -> list[Row]:
+    """Return the rows of the summary: what was written, and what was not."""
+    frames, bad, stamps_ns = len(seen.stamps_ns), seen.bad, seen.stamps_ns
     size_mb = 1e-6 * sum(path.stat().st_size for path in dest.rglob('*') if path.is_file())
     return [
         ('frames', f'{frames}, {1e-9 * (stamps_ns[-1] - stamps_ns[0]):.1f} s'),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs evaluate`: a trajectory against the true one, a run's map against its images."""
+"""`dcgs evaluate`: compare a trajectory with ground truth, a run's map with its images."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from .tables import accuracy_rows, rendering_rows, table
 
 
 def execute(arguments: EvaluateArguments) -> int:
-    """Print ATE and RPE, and of a run how well its map renders."""
+    """Print ATE and RPE, and the rendering scores of a run; return the exit status."""
     if arguments.estimate.is_dir():
         return _evaluate_run(arguments)
     if arguments.groundtruth is None:
-        raise UsageError(f"{arguments.estimate} is no run's folder: give GROUNDTRUTH too")
+        raise UsageError(f"{arguments.estimate} is not a run's folder: give GROUNDTRUTH too")
     accuracy = assess(read_tum(arguments.estimate), read_tum(arguments.groundtruth))
     if accuracy.ate is None:
         raise EvaluationError(accuracy.why_no_ate)
@@ -41,7 +41,7 @@ def execute(arguments: EvaluateArguments) -> int:
 
 
 def _evaluate_run(arguments: EvaluateArguments) -> int:
-    """Evaluate anew what a run has written."""
+    """Evaluate the trajectory and the map in a run's folder."""
     folder, every = arguments.estimate, arguments.render_every
     if every < 0:
         raise UsageError(f'--render-every {every}: 1 or more, or 0 for none')
@@ -61,21 +61,22 @@ def _evaluate_run(arguments: EvaluateArguments) -> int:
 
 
 def _source(arguments: EvaluateArguments) -> Source:
-    """Open what the run was made from, where it was or where the arguments say."""
+    """Open the sequence that the arguments or the run's report name."""
     path = arguments.estimate / 'report.json'
-    noted: dict[str, Any] = {}
+    report: dict[str, Any] = {}
     if path.exists():
         try:
-            noted = dict(json.loads(path.read_bytes()))
+            report = dict(json.loads(path.read_bytes()))
         except (ValueError, TypeError) as error:
-            raise UsageError(f'{path} is no report: {error}') from error
-    address = arguments.source or noted.get('address')
+            raise UsageError(f'{path} is not a report: {error}') from error
+    address = arguments.source or report.get('address')
     if not isinstance(address, str):
-        raise UsageError(f'{path} does not tell where the images are: give --source')
-    return open_source(address, arguments.camera or noted.get('camera'))
+        raise UsageError(f'{path} does not name the source of the images: give --source')
+    return open_source(address, arguments.camera or report.get('camera'))
 
 
 def _rendering(path: Path, estimate: Trajectory, source: Source, every: int) -> dict[str, Any]:
+    """Return the part `rendering` of a report. Raises `MapFileError` that names the file."""
     saved = read_map(path)
     try:
         with closing(Workers(cores())) as workers:
@@ -87,6 +88,7 @@ def _rendering(path: Path, estimate: Trajectory, source: Source, every: int) -> 
 
 
 def _report(accuracy: Accuracy) -> dict[str, Any]:
+    """Return ATE and RPE as in a report, with the numbers of poses and of matched poses."""
     ate = accuracy.ate
     counts = {} if ate is None else {'poses': ate.poses, 'matched': ate.matched}
     return {**counts, **accuracy_report(accuracy)}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs info`: what a sequence is, before anything is tracked."""
+"""`dcgs info`: describe a sequence without tracking it."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _SAMPLE = 60  # frames read, from the first
 
 
 def execute(arguments: InfoArguments) -> int:
-    """Print what the files say and what the first frames hold."""
+    """Print what the files and the first frames say; return the exit status."""
     source = open_source(arguments.source, arguments.camera)
     frames, bad = _sample(source)
     rows = [
-        ('frames', f'{len(source)}; what follows is of the first {len(frames) + len(bad)}'),
+        ('frames', f'{len(source)}; the following is from the first {len(frames) + len(bad)}'),
         *_timing_rows(frames, len(source)),
         *_recording_rows(source),
         ('camera', _camera(source.camera)),
@@ -44,6 +44,7 @@ def execute(arguments: InfoArguments) -> int:
 
 
 def _sample(source: Source) -> tuple[list[RgbdFrame], list[BadFrame]]:
+    """Read the first frames; return the good and the bad ones."""
     with closing(prefetch(islice(source, _SAMPLE))) as items:
         sample = list(items)
     frames = [item for item in sample if isinstance(item, RgbdFrame)]
@@ -51,7 +52,7 @@ def _sample(source: Source) -> tuple[list[RgbdFrame], list[BadFrame]]:
 
 
 def _timing_rows(frames: list[RgbdFrame], total: int) -> list[Row]:
-    """Rate from the median interval; the duration of all frames is told from it."""
+    """Return the rate from the median interval, and the duration estimated from it."""
     if len(frames) < 2:
         return []
     intervals_s = 1e-9 * np.diff([frame.stamp_ns for frame in frames])
@@ -70,7 +71,7 @@ def _timing_rows(frames: list[RgbdFrame], total: int) -> list[Row]:
 
 
 def _recording_rows(source: Source) -> list[Row]:
-    """Show what was chosen of a recording, and how its depth comes to the colour's pixels."""
+    """Return the topics chosen of a recording, and how its depth is registered to colour."""
     if not isinstance(source, BagSource):
         return []
     topics, mount = source.recorded.topics, source.recorded.mount

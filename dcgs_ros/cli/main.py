@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The `dcgs` command: reads the arguments, runs the verb, turns errors into one line."""
+"""The `dcgs` command: parse the arguments, run the verb, print errors as one line."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ VERBS: dict[str, Any] = {
     'info': InfoArguments,
     'convert': ConvertArguments,
 }
-_DESCRIPTION = 'Dual covariance Gaussian splatting SLAM. `dcgs --version` prints the version.'
-_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+_DESCRIPTION = 'Dual Covariance Gaussian Splatting SLAM. `dcgs --version` prints the version.'
+_INTERRUPTED = 130  # 128 + SIGINT, as in shells
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit status: 0, 2 for what the user can act on, 128 + a signal.
+    """Run one verb and return the exit status: 0, 2 for user errors, or 128 + a signal's number.
 
-    Anything unexpected is left to Python: a traceback and status 1.
+    An unexpected error is not caught: Python prints a traceback and exits with 1.
     """
     words = sys.argv[1:] if argv is None else list(argv)
     if words == ['--version']:
@@ -48,16 +48,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         status: int = import_module(f'.{verb}', __package__).execute(arguments)
     except DcgsError as error:
-        return _refused(str(error))
+        return _print_error(str(error))
     except OSError as error:
         where = f'{error.filename}: ' if error.filename else ''
-        return _refused(f'{where}{error.strerror or error}')
+        return _print_error(f'{where}{error.strerror or error}')
     except KeyboardInterrupt:
         print('dcgs: interrupted', file=sys.stderr)
         return _INTERRUPTED
     return status
 
 
-def _refused(reason: str) -> int:
+def _print_error(reason: str) -> int:
     print(f'dcgs: {reason}', file=sys.stderr)
     return 2

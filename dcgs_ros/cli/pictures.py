@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rendered views as numbered images or as a video."""
+"""Rendered views written as numbered images or as a video."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..core.errors import DcgsError
 from ..core.render.renderer import Rendering
 
 CODECS = {'.mp4': 'mp4v', '.avi': 'MJPG'}
-_SEEN = 0.5  # transmittance below which a pixel has a depth
+_MAX_TRANSMITTANCE = 0.5  # of a pixel that has a depth
 _MM_PER_M, _MM_MAX = 1000.0, 65535
 
 
 class PictureError(DcgsError):
-    """Pictures cannot be written."""
+    """An image or a video cannot be written."""
 
 
 class Pictures(Protocol):
-    """Where views go, one after the other."""
+    """Writes views one after the other."""
 
     path: Path
 
@@ -33,15 +33,15 @@ class Pictures(Protocol):
         ...
 
     def close(self) -> None:
-        """Finish what is open."""
+        """Finish the files."""
         ...
 
 
 class ImageFolder:
-    """000000.png, 000001.png ... and 000000_depth.png ... in a folder that exists."""
+    """Writes 000000.png, 000001.png, ..., and 000000_depth.png, ... into a folder that exists."""
 
     def __init__(self, path: Path, depth: bool) -> None:
-        """Write colour, and depth if so told."""
+        """Write depth images too if `depth`."""
         self.path, self._depth, self._count = path, depth, 0
 
     def add(self, rendering: Rendering) -> None:
@@ -52,24 +52,24 @@ class ImageFolder:
             self._write(f'{name}_depth.png', _depth_mm(rendering))
         self._count += 1
 
-    def _write(self, name: str, image: NDArray) -> None:
+    def _write(self, name: str, image: NDArray[Any]) -> None:
         _, data = cv2.imencode('.png', image)
         (self.path / name).write_bytes(data.tobytes())
 
     def close(self) -> None:
-        """Do nothing: each file is whole."""
+        """Do nothing: the files are complete."""
 
 
 class Video:
-    """A file of one of `CODECS`, begun with the first view."""
+    """Writes a video file; its suffix is one of `CODECS`."""
 
     def __init__(self, path: Path, rate_hz: float) -> None:
-        """Write nothing yet."""
+        """Write nothing yet: the first view sets the size."""
         self.path, self._rate_hz = path, rate_hz
         self._writer: Any = None
 
     def add(self, rendering: Rendering) -> None:
-        """Write the next view. Raises `PictureError` where OpenCV cannot."""
+        """Write the next view. Raises `PictureError` if OpenCV cannot write the file."""
         image = _bgr(rendering)
         if self._writer is None:
             codec = cv2.VideoWriter_fourcc(*CODECS[self.path.suffix.lower()])
@@ -86,13 +86,14 @@ class Video:
 
 
 def _bgr(rendering: Rendering) -> NDArray[np.uint8]:
+    """Return the colours (H, W, 3) in OpenCV's order."""
     rgb = np.rint(255 * np.clip(rendering.color, 0, 1)).astype(np.uint8)
     return np.ascontiguousarray(np.moveaxis(rgb, 0, -1)[..., ::-1])
 
 
 def _depth_mm(rendering: Rendering) -> NDArray[np.uint16]:
-    """Mean depth of what is seen, without the share that shines through; 0 where nothing is."""
+    """Return the mean depth (H, W) of the opaque part, millimetres; 0 where little is seen."""
     opacity = 1 - rendering.transmittance
-    depth_m = rendering.depth / np.maximum(opacity, 1 - _SEEN)
+    depth_m = rendering.depth / np.maximum(opacity, 1 - _MAX_TRANSMITTANCE)
     depth_mm = np.minimum(np.rint(_MM_PER_M * depth_m), _MM_MAX)
-    return np.where(rendering.transmittance < _SEEN, depth_mm, 0).astype(np.uint16)
+    return np.where(rendering.transmittance < _MAX_TRANSMITTANCE, depth_mm, 0).astype(np.uint16)

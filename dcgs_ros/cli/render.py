@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs render`: a map from the poses of a trajectory."""
+"""`dcgs render`: render a map along a trajectory."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from ..core.mapping.splats import Splats
 from ..core.render import make_renderer
 from ..core.render.renderer import View
 from ..core.trajectory import Trajectory
-from ..datasets.cameras import PRESETS, parse_intrinsics
-from ..evaluation.map_view import corrections
+from ..datasets.camera_presets import PRESETS
+from ..datasets.parsing.intrinsics import parse_intrinsics
+from ..evaluation.map_view import read_corrections
 from ..io.map_archive import MapFileError, SavedMap, read_map
 from ..io.ply import PlyError, read_ply
 from ..io.trajectory import read_tum
 from .arguments import RenderArguments, UsageError
+from .folders import FolderError, create_folder, refuse_used
 from .pictures import CODECS, ImageFolder, Pictures, Video
-from .run.outputs import FolderError, create_folder, refuse_used
 
 Pose = NDArray[np.float64]  # (4, 4) T_world_cam
 
@@ -37,28 +38,28 @@ _RATES_HZ = (1.0, 120.0)  # of a video
 
 
 @dataclass(frozen=True)
-class _Scene:
+class _MapToRender:
     splats: Splats
     camera: PinholeCamera
-    pose: Callable[[int, Pose], Pose]  # in the map's world, by stamp and as tracked
+    pose: Callable[[int, Pose], Pose]  # (stamp_ns, T_tracked) -> T_world_cam in the map's world
 
 
 def execute(arguments: RenderArguments) -> int:
-    """Render every pose."""
+    """Render every pose and return the exit status."""
     _check_out(arguments)
-    scene, trajectory = _scene(arguments), read_tum(arguments.trajectory)
+    to_render, trajectory = _read(arguments), read_tum(arguments.trajectory)
     poses = zip(trajectory.stamps_ns.tolist(), trajectory.T_world_cam, strict=True)
     with closing(Workers(cores())) as workers, _pictures(arguments, trajectory) as pictures:
         renderer = make_renderer(workers)
         for stamp_ns, T in tqdm(poses, total=len(trajectory), unit='view', disable=None):
-            view = View.of(scene.camera, scene.pose(stamp_ns, T))
-            pictures.add(renderer.render(scene.splats.planes, view))
+            view = View.of(to_render.camera, to_render.pose(stamp_ns, T))
+            pictures.add(renderer.render(to_render.splats.planes, view))
     print(f'{len(trajectory)} views of {arguments.map}: {pictures.path}')
     return 0
 
 
 def _check_out(arguments: RenderArguments) -> None:
-    """Refuse what would be overwritten, and depth in a video."""
+    """Raise `FolderError` or `UsageError` if --out exists or cannot hold what is asked for."""
     out = arguments.out
     if out is None:
         return
@@ -70,37 +71,37 @@ def _check_out(arguments: RenderArguments) -> None:
         raise UsageError(f'--depth needs a folder for its images, {out} is a video')
 
 
-def _scene(arguments: RenderArguments) -> _Scene:
-    """Read the map; what a .ply lacks the arguments have to tell."""
+def _read(arguments: RenderArguments) -> _MapToRender:
+    """Read the map; raise `UsageError` for a .ply without --camera."""
     path, camera = arguments.map, _camera(arguments)
     if path.suffix.lower() != '.ply':
         saved = read_map(path)
-        return _Scene(saved.splats, camera or saved.camera, _corrected(path, saved))
+        return _MapToRender(saved.splats, camera or saved.camera, _corrected(path, saved))
     splats = read_ply(path)
     if not len(splats):
         raise PlyError(f'{path}: holds no Gaussian')
     if camera is None:
-        raise UsageError(f'{path} knows no camera: give --camera, with --size if it is numbers')
-    return _Scene(splats, camera, lambda _, T_tracked: T_tracked)
+        raise UsageError(f'{path} holds no camera: give --camera, with --size if it is numbers')
+    return _MapToRender(splats, camera, lambda _, T_tracked: T_tracked)
 
 
 def _corrected(path: Path, saved: SavedMap) -> Callable[[int, Pose], Pose]:
-    """Correct what was tracked while the map was made, and nothing before or after."""
+    """Return a function that corrects poses between the first and the last keyframe."""
     try:
-        by_time = corrections(saved)
+        corrections = read_corrections(saved)
     except MapFileError as error:
         raise MapFileError(f'{path}: {error}') from None
     first_ns, last_ns = (saved.keyframes[k].stamp_ns for k in (0, -1))
 
     def pose(stamp_ns: int, T_tracked: Pose) -> Pose:
         within = first_ns <= stamp_ns <= last_ns
-        return by_time.pose(stamp_ns, T_tracked) if within else T_tracked
+        return corrections.pose(stamp_ns, T_tracked) if within else T_tracked
 
     return pose
 
 
 def _camera(arguments: RenderArguments) -> PinholeCamera | None:
-    """Understand --camera and --size; None without."""
+    """Return the camera that --camera and --size describe, or None without --camera."""
     text, size = arguments.camera, arguments.size
     if text in PRESETS or text is None:
         if size is not None:
@@ -117,7 +118,7 @@ def _camera(arguments: RenderArguments) -> PinholeCamera | None:
 
 @contextmanager
 def _pictures(arguments: RenderArguments, trajectory: Trajectory) -> Iterator[Pictures]:
-    """Open the video, or create the folder, which is not left behind empty."""
+    """Open the video or create the folder; a folder left empty is removed."""
     out = arguments.out
     if out is not None and out.suffix.lower() in CODECS:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -128,12 +129,12 @@ def _pictures(arguments: RenderArguments, trajectory: Trajectory) -> Iterator[Pi
     try:
         yield ImageFolder(folder, arguments.depth)
     finally:
-        with contextlib.suppress(OSError):  # which says that it is not empty, as it should be
+        with contextlib.suppress(OSError):  # it is not empty unless nothing was written
             folder.rmdir()
 
 
 def _rate_hz(trajectory: Trajectory) -> float:
-    """Take the trajectory's median rate, as far as it makes a video."""
+    """Return the trajectory's median rate, within what a video can have."""
     intervals_s = 1e-9 * np.diff(trajectory.stamps_ns)
     interval_s = float(np.median(intervals_s)) if len(intervals_s) else 0.0
     return float(np.clip(1 / max(interval_s, 1e-9), *_RATES_HZ))

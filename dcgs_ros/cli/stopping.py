@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ctrl-C and SIGTERM end a run after the frame under way instead of in the middle of it."""
+"""Ctrl-C and SIGTERM stop a run after the current frame instead of within it."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ _PATIENCE_S = 1.0  # launchers and `timeout` send a signal twice in a row
 
 
 class StopSignals:
-    """While this context lasts a first signal is noted; one later than a second after it raises.
+    """Context manager that records the first SIGINT or SIGTERM instead of raising.
 
-    `status` is what the process should exit with: 0, or 128 + the signal's number.
+    `status` is the exit status of the process: 0, or 128 + the signal's number. A signal more
+    than a second after the first one raises `KeyboardInterrupt`.
     """
 
     def __init__(self) -> None:
-        """Note nothing yet."""
+        """Start without a signal."""
         self.status = 0
-        self._noted_s = 0.0
+        self._first_s = 0.0
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> StopSignals:
-        """Take the signals over."""
-        self._before = {number: signal.signal(number, self._note) for number in _SIGNALS}
+        """Install the handlers."""
+        self._before = {number: signal.signal(number, self._handle) for number in _SIGNALS}
         return self
 
     def __exit__(
@@ -36,13 +37,13 @@ class StopSignals:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Give them back."""
+        """Restore the previous handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
+    def _handle(self, number: int, frame: FrameType | None) -> None:
         now_s = time.monotonic()
         if self.status == 0:
-            self.status, self._noted_s = 128 + number, now_s
-        elif now_s - self._noted_s > _PATIENCE_S:
+            self.status, self._first_s = 128 + number, now_s
+        elif now_s - self._first_s > _PATIENCE_S:
             raise KeyboardInterrupt

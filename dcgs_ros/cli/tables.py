@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables for people: two columns, a title above them."""
+"""Two-column text tables that the verbs print."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _FILES = (
 
 
 def table(title: str, rows: Sequence[Row]) -> str:
-    """Set the second column flush."""
+    """Return the title and an indented line per row, with the second column aligned."""
     width = max(len(label) for label, _ in rows)
     return '\n'.join([title, *(f'  {label:<{width}}  {text}' for label, text in rows)])
 
 
 def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str:
-    """Show a report and where the files are."""
+    """Return the summary of a run: its report, and the paths of its files."""
     speed = report['tracking']
     title = f'{report["source"]} ({report["ablation"]})'
     if report['interrupted']:
@@ -57,7 +57,7 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
 
 
 def accuracy_rows(accuracy: Accuracy) -> list[Row]:
-    """Show ATE and RPE, or why there is none."""
+    """Return the rows of ATE and RPE, or of the reasons why they were not computed."""
     ate, rpe = accuracy.ate, accuracy.rpe_1s
     return [
         (
@@ -78,7 +78,7 @@ def accuracy_rows(accuracy: Accuracy) -> list[Row]:
 
 
 def rendering_rows(rendering: dict[str, Any] | None) -> list[Row]:
-    """Show how well the map renders under each protocol."""
+    """Return the rows of the rendering scores, one per protocol and group of frames."""
     if rendering is None:
         return [('rendering', 'not evaluated')]
     rows = [('rendering', f'{_scores(rendering)} (raw; views: {rendering["views"]})')]

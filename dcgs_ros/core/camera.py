@@ -15,7 +15,7 @@ from .kernels import lens
 
 
 class CameraError(DcgsError):
-    """The intrinsics describe no usable camera."""
+    """The intrinsics do not describe a usable camera."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class PinholeCamera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what would only fail later, inside a kernel."""
+        """Check the values, which would otherwise fail later, inside a kernel."""
         if self.width < 16 or self.height < 16:
-            raise CameraError(f'image of {self.width}x{self.height} pixels is too small')
+            raise CameraError(f'image of {self.width}x{self.height} pixels is smaller than 16x16')
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(numbers)) or self.fx <= 0 or self.fy <= 0:
             raise CameraError(f'intrinsics fx fy cx cy distortion = {numbers} are not usable')
@@ -61,16 +61,16 @@ class PinholeCamera:
     def undistortion_map(self) -> NDArray[np.float32]:
         """(H, W, 2) undistorted x/z, y/z of the ray through each pixel.
 
-        Measurements are undistorted, images are not: nothing is resampled.
+        The tracker undistorts its measurements, not the images: nothing is resampled.
         """
         u, v = np.meshgrid(np.arange(self.width, dtype=np.float32), np.arange(self.height))
         pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
         return self.undistort(pixels).reshape(self.height, self.width, 2)
 
-    def undistort(self, pixels: NDArray) -> NDArray[np.float32]:
-        """Pixels (N, 2) to undistorted normalised coordinates x/z, y/z (N, 2)."""
+    def undistort(self, pixels: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return undistorted normalised coordinates x/z, y/z (N, 2) of pixels (N, 2)."""
         return lens.undistort(self.parameters, np.asarray(pixels, np.float64))
 
-    def project(self, points_cam: NDArray) -> NDArray[np.float32]:
-        """Points (N, 3) in the camera frame, metres, z > 0, to distorted pixels (N, 2)."""
+    def project(self, points_cam: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Return distorted pixels (N, 2) of points (N, 3) in the camera frame, metres, z > 0."""
         return lens.project(self.parameters, np.asarray(points_cam, np.float64))

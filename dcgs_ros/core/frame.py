@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One RGB-D measurement as it comes from a camera or a file."""
+"""One RGB-D measurement, as it comes from a camera or a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .errors import FrameError
 class RgbdFrame:
     """Colour and depth of one camera, depth registered to colour, each with its own stamp.
 
-    Raises `FrameError` where the arrays cannot be one RGB-D frame.
+    Raises `FrameError` for arrays that do not form an RGB-D frame.
     """
 
     stamp_ns: int  # of the colour image: the instant a pose refers to
@@ -25,7 +25,7 @@ class RgbdFrame:
     depth_m: NDArray[np.float32]  # (H, W), 0 = no measurement
 
     def __post_init__(self) -> None:
-        """Check shapes, types and that there is any depth at all."""
+        """Check shapes and types, and that some pixel has depth."""
         shape = self.color.shape
         if self.color.dtype != np.uint8 or len(shape) not in (2, 3) or shape[2:] not in ((), (3,)):
             raise FrameError(

@@ -19,8 +19,8 @@ _SERIES = 1e-2  # rad: below, the series of V^-1's last coefficient loses less t
 _NEAR_PI = math.pi - 1e-3
 
 
-def hat(v: NDArray) -> NDArray[np.float64]:
-    """Matrix (3, 3) of the cross product: hat(v) w = v x w."""
+def hat(v: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the matrix (3, 3) of the cross product with v (3,): hat(v) w = v x w."""
     x, y, z = v
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -34,15 +34,15 @@ def _sine_ratios(angle: float) -> tuple[float, float, float]:
     return sine / angle, 2.0 * (math.sin(0.5 * angle) / angle) ** 2, (angle - sine) / angle**3
 
 
-def so3_left_jacobian(phi: NDArray) -> NDArray[np.float64]:
-    """V(phi): the integral of the rotation by s phi over s in [0, 1]."""
+def so3_left_jacobian(phi: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return V(phi) (3, 3), phi (3,): the integral of the rotation by s phi over s in [0, 1]."""
     _, b, c = _sine_ratios(math.sqrt(float(phi @ phi)))
     k = hat(phi)
     return np.eye(3) + b * k + c * (k @ k)
 
 
-def exp(xi: NDArray) -> NDArray[np.float64]:
-    """Twist (6,) to transform (4, 4)."""
+def exp(xi: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of a twist (6,)."""
     rho, phi = xi[:3], xi[3:]
     a, b, c = _sine_ratios(math.sqrt(float(phi @ phi)))
     k = hat(phi)
@@ -53,13 +53,13 @@ def exp(xi: NDArray) -> NDArray[np.float64]:
     return T
 
 
-def log(T: NDArray) -> NDArray[np.float64]:
-    """Transform (4, 4) to twist (6,), rotation angle in [0, pi]."""
+def log(T: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the twist (6,) of a transform (4, 4), rotation angle in [0, pi]."""
     R = T[:3, :3]
     axis_sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine, cosine = math.sqrt(float(axis_sine @ axis_sine)), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
     angle = math.atan2(sine, cosine)
-    if angle > _NEAR_PI:  # the sine no longer tells the axis
+    if angle > _NEAR_PI:  # the sine is too small to give the axis
         phi = Rotation.from_matrix(R).as_rotvec()
         angle = math.sqrt(float(phi @ phi))
     else:
@@ -73,8 +73,8 @@ def log(T: NDArray) -> NDArray[np.float64]:
     return np.concatenate([t - 0.5 * kt + e * (k @ kt), phi])
 
 
-def inverse(T: NDArray) -> NDArray[np.float64]:
-    """Inverse of one transform (4, 4) or of a stack (..., 4, 4)."""
+def inverse(T: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the inverse of one transform (4, 4) or of a stack (..., 4, 4)."""
     T = np.asarray(T, dtype=np.float64)
     out = np.zeros_like(T)
     R_t = np.swapaxes(T[..., :3, :3], -1, -2)
@@ -85,12 +85,12 @@ def inverse(T: NDArray) -> NDArray[np.float64]:
 
 
 def transform(T: NDArray[np.float64], points: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Map points (N, 3) by one transform (4, 4): p_a = T_a_b p_b."""
+    """Return points (N, 3) mapped by one transform (4, 4): p_a = T_a_b p_b."""
     return points @ T[:3, :3].T + T[:3, 3]
 
 
-def adjoint(T: NDArray) -> NDArray[np.float64]:
-    """Ad (6, 6) with T exp(xi) T^-1 = exp(Ad xi)."""
+def adjoint(T: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return Ad (6, 6) with T exp(xi) T^-1 = exp(Ad xi)."""
     R = T[:3, :3]
     Ad = np.zeros((6, 6))
     Ad[:3, :3] = Ad[3:, 3:] = R
@@ -98,28 +98,30 @@ def adjoint(T: NDArray) -> NDArray[np.float64]:
     return Ad
 
 
-def orthonormalised(T: NDArray) -> NDArray[np.float64]:
-    """Nearest transform with an exact rotation: undoes the rounding of long products."""
+def orthonormalised(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the nearest (4, 4) with an exact rotation: undoes the rounding of long products."""
     u, _, vt = np.linalg.svd(T[:3, :3])
     out = T.copy()
     out[:3, :3] = u @ vt
     return out
 
 
-def from_quaternion(quat_wxyz: NDArray, translation: NDArray) -> NDArray[np.float64]:
-    """Turn unit quaternions (..., 4) and translations (..., 3) into transforms (..., 4, 4)."""
+def from_quaternion(
+    quat_wxyz: NDArray[np.floating], translation: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Return transforms (..., 4, 4) of unit quaternions (..., 4) and translations (..., 3)."""
     quat_wxyz, translation = np.asarray(quat_wxyz), np.asarray(translation)
     T = np.zeros((*translation.shape[:-1], 4, 4))
     xyzw = np.roll(quat_wxyz, -1, axis=-1).reshape(-1, 4)
-    if len(xyzw):  # SciPy before 1.17 refuses an empty stack
+    if len(xyzw):  # SciPy before 1.17 rejects an empty stack
         T[..., :3, :3] = Rotation.from_quat(xyzw).as_matrix().reshape(*T.shape[:-2], 3, 3)
     T[..., :3, 3] = translation
     T[..., 3, 3] = 1.0
     return T
 
 
-def to_quaternion(T: NDArray) -> NDArray[np.float64]:
-    """Turn transforms (..., 4, 4) into unit quaternions (..., 4) wxyz with w >= 0."""
+def to_quaternion(T: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return unit quaternions (..., 4) wxyz, w >= 0, of transforms (..., 4, 4)."""
     T = np.asarray(T)
     if not T.size:
         return np.zeros((*T.shape[:-2], 4))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a depth camera's measurements are worth: the noise laws and the covariance S(v, z; s)."""
+"""Noise of a depth camera: the axial noise model and the covariance S(v, z; s)."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class SensorError(DcgsError):
 class SensorNoise:
     """Axial noise sigma_z(z) = A + B z^2 (paper, tracking covariance) and the usable range.
 
-    The law is stated for depth; like the paper we feed it the range |a|, which overstates sigma by
-    at most 1 / cos^2 of the field-of-view's half angle in the image corners.
+    The model is one of depth; as in the paper it is given the range |a|, which overestimates sigma
+    in the image corners by at most 1 / cos^2 of half the field of view.
     """
 
     a_m: float = described(
-        0.0012, 'A of the depth noise A + B z^2: standard deviation at no distance, metres.'
+        0.0012, 'A of the depth noise A + B z^2: standard deviation at distance zero, metres.'
     )
     b_per_m: float = described(
-        0.0014, 'B of the depth noise A + B z^2: its growth with the squared distance, 1/metre.'
+        0.0014, 'B of the depth noise A + B z^2: growth with the squared distance, 1/metre.'
     )
-    depth_min_m: float = described(0.3, 'Nearer depth is not used, metres.')
-    depth_max_m: float = described(5.0, 'Farther depth is not used, metres.')
+    depth_min_m: float = described(0.3, 'Smallest depth that is used, metres.')
+    depth_max_m: float = described(5.0, 'Largest depth that is used, metres.')
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -46,7 +46,7 @@ class SensorNoise:
 
     @classmethod
     def structured_light(cls) -> SensorNoise:
-        """Kinect v1: A + B z^2 fitted to Nguyen 2012's 0.0012 + 0.0019 (z - 0.4)^2 m, 0.4-3 m."""
+        """Return Kinect v1's: a fit to Nguyen 2012's 0.0012 + 0.0019 (z - 0.4)^2 m, 0.4 to 3 m."""
         return cls()
 
     @classmethod
@@ -58,9 +58,10 @@ class SensorNoise:
         depth_min_m: float = 0.25,
         depth_max_m: float = 6.0,
     ) -> SensorNoise:
-        """Active stereo: dz = z^2 / (f b) d(disparity).
+        """Return the noise of active stereo: dz = z^2 / (f b) d(disparity).
 
-        `depth_focal_px` is that of the DEPTH imager, also where depth is aligned to colour.
+        `depth_focal_px` is that of the DEPTH imager, also if depth is aligned to colour. Raises
+        `SensorError` for values out of range.
         """
         if depth_focal_px <= 0 or baseline_m <= 0 or subpixel_px < 0:
             raise SensorError(
@@ -71,20 +72,23 @@ class SensorNoise:
 
     @classmethod
     def floor(cls, sigma_m: float = 0.001, depth_max_m: float = 12.0) -> SensorNoise:
-        """Take rendered depth without noise: a constant keeps the problem well posed."""
+        """Return a constant, for rendered depth without noise: it keeps the problem well posed."""
         return cls(sigma_m, 0.0, 0.01, depth_max_m)
 
-    def sigma(self, z: NDArray | float) -> NDArray:
-        """Axial standard deviation at range z, metres."""
+    def sigma(self, z: NDArray[np.floating] | float) -> NDArray[np.floating]:
+        """Return the axial standard deviation at range z, metres."""
         return self.a_m + self.b_per_m * np.square(z)
 
     def covariance(
-        self, rays: NDArray, ranges: NDArray, lateral_px: float, focal_px: float
+        self,
+        rays: NDArray[np.floating],  # (N, 3) unit vectors v
+        ranges: NDArray[np.floating],  # (N,) z, metres
+        lateral_px: float,
+        focal_px: float,
     ) -> NDArray[np.float64]:
-        """S(v, z; s) = sigma_perp^2 (I - v v^T) + sigma_par^2 v v^T, square metres.
+        """Return S(v, z; s) = sigma_perp^2 (I - v v^T) + sigma_par^2 v v^T, square metres.
 
-        `rays` (N, 3) are unit vectors v, `ranges` (N,) metres; sigma_perp = z s / f. Returns
-        (N, 3, 3).
+        It is (N, 3, 3); sigma_perp = z s / f with s = `lateral_px`, sigma_par = sigma(z).
         """
         rays = np.asarray(rays, dtype=np.float64)
         ranges = np.asarray(ranges, dtype=np.float64)

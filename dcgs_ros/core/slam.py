@@ -19,8 +19,9 @@ from .frame import RgbdFrame
 from .kernels.workers import give_way
 from .keyframe import MapUpdate, PosedFrame
 from .mapping.mapper import Mapper
+from .tracking.result import TrackResult
 from .tracking.selector import KeyframeSelector
-from .tracking.tracker import Tracker, TrackResult
+from .tracking.tracker import Tracker
 
 
 class MappingMode(Protocol):

@@ -13,7 +13,7 @@ from .errors import DcgsError
 
 
 class TrajectoryError(DcgsError):
-    """Stamps or poses that make no trajectory."""
+    """Stamps or poses that do not form a trajectory."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Trajectory:
     T_world_cam: NDArray[np.float64]  # (N, 4, 4), metres
 
     def __post_init__(self) -> None:
-        """Check shapes, order and finiteness; name the first offender."""
+        """Check shapes, order and finiteness; the error names the first bad pose."""
         n = len(self.stamps_ns)
         if self.T_world_cam.shape != (n, 4, 4):
             raise TrajectoryError(f'{n} stamps but poses of shape {self.T_world_cam.shape}')
@@ -40,5 +40,5 @@ class Trajectory:
             )
 
     def __len__(self) -> int:
-        """Count the poses."""
+        """Return the number of poses."""
         return len(self.stamps_ns)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ICL-NUIM: two rendered rooms, as the PNGs that it calls compatible with TUM's benchmark."""
+"""ICL-NUIM: two rendered rooms, in the dataset's 'TUM RGB-D compatible PNGs'."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
-from .camera_files import chosen_camera
-from .cameras import PRESETS
-from .images.association import Entry, StampPair
-from .images.indexed_frames import stamp_of
+from .camera_presets import PRESETS
+from .images.association import StampedPath, StampPair
+from .images.indexed_frames import stamp_of_index
 from .images.sequence import ImageSequence
+from .parsing.intrinsics import choose_camera
 from .source import SourceError, sequence_name
 from .tum.index import read_index
 
@@ -29,7 +29,7 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def is_icl_nuim(path: Path) -> bool:
-    """Tell whether the path is a sequence's folder: by the truth in it, or by its name."""
+    """Return whether the path is a sequence's folder: by its name or its ground truth's."""
     named = re.search(r'traj[0-9]n?_frei_png', sequence_name(path)) is not None
     known = bool(_truth_files(path)) or named
     return known and (path / 'associations.txt').is_file()
@@ -40,8 +40,8 @@ def open_icl_nuim(
 ) -> ImageSequence:
     """Open a sequence's folder; frame i is at i / 30 s.
 
-    `camera` replaces the dataset's by a preset's or by intrinsics. `groundtruth` is used instead
-    of the folder's `*.gt.freiburg`: another one of these, or a TUM trajectory.
+    `camera` is a preset or intrinsics instead of the dataset's. `groundtruth` replaces the
+    folder's `*.gt.freiburg`: by another one of these, or by a TUM trajectory.
 
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the line.
     """
@@ -50,15 +50,15 @@ def open_icl_nuim(
     if re.search(r'traj[0-9]n(?![a-z])', sequence_name(folder)):
         preset = dataclasses.replace(preset, sensor=SensorNoise.structured_light())
     pairs = _read_pairs(folder / 'associations.txt')
-    chosen = chosen_camera(camera, preset, folder, pairs)
-    return ImageSequence.of(folder, pairs, chosen, _read_truth(folder, groundtruth))
+    chosen = choose_camera(camera, preset, folder, pairs)
+    return ImageSequence.from_preset(folder, pairs, chosen, _read_truth(folder, groundtruth))
 
 
 def mirrored(T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (..., 4, 4) of the y-up camera as those of one with y down, F T F.
+    """Return the poses (..., 4, 4) of the y-up camera as those of one with y down, F T F.
 
-    ICL-NUIM projects with fy < 0. With F = diag(1, -1, 1) the point F p in the world F sees the
-    same pixel through F T F with fy > 0; images are what they were.
+    ICL-NUIM projects with fy < 0. With F = diag(1, -1, 1) the point F p in the world F is seen at
+    the same pixel through F T F with fy > 0, so the images stay as they are.
     """
     return _MIRROR @ T_world_cam @ _MIRROR
 
@@ -69,19 +69,20 @@ def _truth_files(folder: Path) -> list[Path]:
 
 def _read_pairs(path: Path) -> list[StampPair]:
     """Read rows of `number depth number colour`."""
+
+    def with_stamp(image: StampedPath) -> StampedPath:
+        return StampedPath(stamp_of_index(_frame_number(path, image.stamp_ns)), image.path)
+
     return [
-        StampPair(
-            *(Entry(stamp_of(_number(path, entry.stamp_ns)), entry.path) for entry in row[::-1])
-        )
-        for row in read_index(path, 2)
+        StampPair(with_stamp(color), with_stamp(depth)) for depth, color in read_index(path, 2)
     ]
 
 
-def _number(path: Path, stamp_ns: int) -> int:
-    """Frame number that was read as seconds."""
+def _frame_number(path: Path, stamp_ns: int) -> int:
+    """Return the frame number that `read_index` or `read_tum` read as seconds."""
     number, rest = divmod(stamp_ns, 1_000_000_000)
     if rest or number < 0:
-        raise SourceError(f'{path}: {stamp_ns / 1e9:.9g} is no frame number: 0, 1, 2 ...')
+        raise SourceError(f'{path}: {stamp_ns / 1e9:.9g} is not a frame number: 0, 1, 2 ...')
     return number
 
 
@@ -99,5 +100,6 @@ def _read_truth(folder: Path, groundtruth: Path | str | None) -> Trajectory | No
     truth = read_tum(path)
     if not path.name.endswith(_TRUTH_SUFFIX):
         return truth
-    stamps_ns = [stamp_of(_number(path, stamp_ns)) for stamp_ns in truth.stamps_ns.tolist()]
-    return Trajectory(np.array(stamps_ns, dtype=np.int64), mirrored(truth.T_world_cam))
+    numbers = [_frame_number(path, stamp_ns) for stamp_ns in truth.stamps_ns.tolist()]
+    stamps_ns = np.array([stamp_of_index(number) for number in numbers], dtype=np.int64)
+    return Trajectory(stamps_ns, mirrored(truth.T_world_cam))

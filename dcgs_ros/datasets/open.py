@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From what a user names to the source that reads it."""
+"""Opening a sequence by its address: the format follows from the files."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from . import described, icl_nuim, replica, seven_scenes
+from . import custom, icl_nuim, replica, seven_scenes
 from .bag import source as bag
-from .bag.messages import is_bag
+from .bag.storage.files import is_bag
 from .bag.topics import split_topics
 from .scannet import source as scannet
 from .source import Source, SourceError
@@ -18,17 +18,17 @@ from .tum import source as tum
 
 
 class Format(NamedTuple):
-    """A kind of recording."""
+    """A format of folders or files."""
 
-    layout: str  # what it consists of, for who named something else
-    recognises: Callable[[Path], bool]  # by names alone: no file's content is read
+    layout: str  # the files it consists of, for the message about an unknown format
+    recognises: Callable[[Path], bool]  # by file names alone, without reading any content
     open: Callable[[Path, str | None, Path | str | None], Source]  # camera, ground truth
 
 
-# The first that recognises a path opens it, so the narrower ones come first; recordings, of which
-# topics can be named, come behind all of them.
+# The first format that recognises a path opens it, so specific ones come before general ones.
+# Recordings, whose topics can be given in the address, are tried after all of these.
 FORMATS = (
-    Format(described.LAYOUT, described.is_described, described.open_described),
+    Format(custom.LAYOUT, custom.is_custom, custom.open_custom),
     Format(scannet.LAYOUT, scannet.is_scannet, scannet.open_scannet),
     Format(replica.LAYOUT, replica.is_replica, replica.open_replica),
     Format(seven_scenes.LAYOUT, seven_scenes.is_seven_scenes, seven_scenes.open_seven_scenes),
@@ -42,15 +42,14 @@ def open_source(
 ) -> Source:
     """Open `synthetic:NAME[?key=value&...]`, or a sequence in one of the formats.
 
-    A recording's topics may be named behind its path: `?color=TOPIC&depth=TOPIC`.
-    `camera` is a preset's name or intrinsics as `parse_intrinsics` takes them; `groundtruth` a
-    trajectory file used instead of the dataset's own. Raises a `DcgsError` that says what was
-    looked for.
+    A recording's path may be followed by its topics: `?color=TOPIC&depth=TOPIC`. `camera` is the
+    name of a preset, or intrinsics as `parse_intrinsics` takes them; `groundtruth` is a trajectory
+    file that replaces the dataset's own. Raises a `DcgsError` that says what was expected.
     """
     if address.startswith('synthetic:'):
         if camera is not None or groundtruth is not None:
             raise SourceError(f'{address} brings its own camera and ground truth: give neither')
-        from .synthetic.source import SyntheticSource  # a ray caster that a dataset has no use for
+        from .synthetic.source import SyntheticSource  # the ray caster, which no dataset needs
 
         return SyntheticSource.from_address(address)
     path, color, depth = split_topics(address)
@@ -66,4 +65,4 @@ def open_source(
         )
     layouts = '; or '.join([*(format_.layout for format_ in FORMATS), bag.LAYOUT])
     what = 'folder' if path.is_dir() else 'file'
-    raise SourceError(f'{address} is a {what} of no known format. There are: {layouts}')
+    raise SourceError(f'{address} is a {what} of unknown format. Known formats: {layouts}')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Decoding ahead of use: a PNG pair takes longer to decode than a frame to track."""
+"""Decoding ahead of use, in a thread: decoding a pair of PNGs takes longer than tracking it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class _End:
 def prefetch(source: Iterable[Item], depth: int = 4) -> Generator[Item, None, None]:
     """Iterate over `source` in a background thread, at most `depth` items ahead, in its order.
 
-    An exception of the source is raised here, after the items that came before it. The thread
-    starts with the first item asked for and has ended when this generator has, closed early or
-    not: wrap it in `contextlib.closing` where the loop may be left by an exception.
+    An exception of the source is raised here, after the items before it. The thread starts when
+    the first item is requested and ends with this generator, also when that is closed early: wrap
+    it in `contextlib.closing` if an exception may leave the loop.
     """
     if depth < 1:
         raise ValueError(f'depth must be at least 1, got {depth}')
@@ -45,7 +45,7 @@ def prefetch(source: Iterable[Item], depth: int = 4) -> Generator[Item, None, No
                 items.put(item)
                 if stop.is_set():
                     return
-        except BaseException as caught:  # the consumer's to handle, whatever it is
+        except BaseException as caught:  # of any kind: it is raised again in the consumer
             error = caught
         items.put(_End(error))
 
@@ -58,7 +58,7 @@ def prefetch(source: Iterable[Item], depth: int = 4) -> Generator[Item, None, No
             raise item.error
     finally:
         stop.set()
-        # Once drained, the queue takes whatever the thread still holds before it looks at `stop`.
+        # A drained queue has room for the item the thread may still hold before it checks `stop`.
         while not items.empty():
             items.get_nowait()
         thread.join()
@@ -67,11 +67,11 @@ def prefetch(source: Iterable[Item], depth: int = 4) -> Generator[Item, None, No
 def prefetch_frames(
     source: Source, total: int, quietly: bool
 ) -> Generator[RgbdFrame | BadFrame, None, None]:
-    """Prefetch the first `total` frames; `quietly` in a thread that gives way to all others.
+    """Prefetch the first `total` frames; with `quietly` in a thread of the lowest priority.
 
-    At equal priority decoding costs the tracker a third of its speed on two cores (measured). But
-    it has to keep up with the clock online, where the mapper takes whatever is left of them. A
-    synthetic source's kernels may not take all the cores either.
+    At equal priority decoding costs the tracker a third of its speed on two cores (measured). An
+    online run cannot use it, as decoding must keep up while the mapper takes all spare time. The
+    kernels of a synthetic source leave one core free in either case.
     """
 
     def frames() -> Iterator[RgbdFrame | BadFrame]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Replica as NICE-SLAM rendered it: rooms without noise, and exact poses."""
+"""Replica as rendered by NICE-SLAM: rooms without noise, with exact poses."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from typing import Any
 
 from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
-from .camera_files import camera_of, chosen_camera, depth_unit_of
-from .cameras import PRESETS, CameraPreset
-from .images.indexed_frames import numbered_pairs, numbered_poses
+from .camera_presets import PRESETS, CameraPreset
+from .images.indexed_frames import indexed_trajectory, pair_by_index
 from .images.sequence import ImageSequence
-from .poses import parse_matrix, read_text
+from .parsing.intrinsics import camera_from_fields, choose_camera
+from .parsing.pose_matrices import parse_matrix
+from .parsing.text_files import depth_unit_at, read_text
 from .source import SourceError
 
 LAYOUT = "results/ with frame000000.jpg, depth000000.png ..., and traj.txt (NICE-SLAM's Replica)"
@@ -27,7 +28,7 @@ _MAX_TRAJECTORY_BYTES = 2**28
 
 
 def is_replica(path: Path) -> bool:
-    """Tell whether the path is a scene's folder."""
+    """Return whether the path is a scene's folder."""
     return any(True for _ in path.glob('results/frame[0-9][0-9][0-9][0-9][0-9][0-9].jpg'))
 
 
@@ -36,19 +37,17 @@ def open_replica(
 ) -> ImageSequence:
     """Open a scene's folder; frame i is at i / 30 s.
 
-    The camera is that of `cam_params.json` in the folder or beside it, else the preset; `camera`
-    replaces it by a preset's or by intrinsics. `groundtruth` is a TUM trajectory used instead of
-    `traj.txt`, whose row i is the pose of frame i and is left out where it is none.
+    The camera is that of `cam_params.json` in the folder or beside it, else the preset 'replica';
+    `camera` is a preset or intrinsics instead. `groundtruth` is a TUM trajectory instead of
+    `traj.txt`, whose row i is the pose of frame i; rows that are not rigid are left out.
 
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the line or key.
     """
     folder = Path(path)
-    pairs = numbered_pairs(
-        folder, r'results/frame([0-9]{6})\.jpg', r'results/depth([0-9]{6})\.png'
-    )
-    chosen = chosen_camera(camera, _own_camera(folder), folder, pairs)
+    pairs = pair_by_index(folder, r'results/frame([0-9]{6})\.jpg', r'results/depth([0-9]{6})\.png')
+    chosen = choose_camera(camera, _own_camera(folder), folder, pairs)
     truth = _read_truth(folder / 'traj.txt') if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.of(folder, pairs, chosen, truth)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth)
 
 
 def _own_camera(folder: Path) -> CameraPreset:
@@ -58,8 +57,8 @@ def _own_camera(folder: Path) -> CameraPreset:
         if path.exists():
             try:
                 values = _camera_values(read_text(path, _MAX_CAMERA_BYTES))
-                camera = camera_of(values, _CAMERA_KEYS)
-                return CameraPreset(camera, preset.sensor, depth_unit_of(values, 'scale'))
+                camera = camera_from_fields(values, _CAMERA_KEYS)
+                return CameraPreset(camera, preset.sensor, depth_unit_at(values, 'scale'))
             except ValueError as error:
                 raise SourceError(f'{path}: {error}') from None
     return preset
@@ -78,7 +77,7 @@ def _camera_values(text: str) -> dict[str, Any]:
 
 
 def _read_truth(path: Path) -> Trajectory | None:
-    """Poses of the file, where there is one."""
+    """Read the poses; None if there is no such file."""
     if not path.exists():
         return None
     poses = {}
@@ -88,4 +87,4 @@ def _read_truth(path: Path) -> Trajectory | None:
             poses[number] = parse_matrix(line)
         except ValueError as error:
             raise SourceError(f'{path}:{number + 1}: {error}') from None
-    return numbered_poses(path, poses)
+    return indexed_trajectory(path, poses)

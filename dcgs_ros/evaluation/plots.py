@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A picture of a trajectory, drawn without a display and without pyplot's global state."""
+"""Plot of a trajectory, drawn without a display and without pyplot's global state."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _PATH_COLOR = '#1f5fa8'
 _TRUTH_COLOR = '0.55'
 
 
-class _View(NamedTuple):
-    """An orthographic view: which world axes run to the right and up."""
+class _Orthographic(NamedTuple):
+    """An orthographic view: which world axes point right and up."""
 
     title: str
     right: int
@@ -34,10 +34,10 @@ class _View(NamedTuple):
 def plot_trajectory(
     path: Path | str, estimate: Trajectory, truth: Trajectory | None = None, title: str = ''
 ) -> AteResult | None:
-    """Draw the path from above and from the side, and its error over time, into a PNG.
+    """Plot the path from above and from the side, and its error over time, as a PNG.
 
-    With `truth` the estimate is drawn after alignment to it, coloured by its error, and the ATE
-    is returned; without, only the path is drawn. Raises `EvaluationError` as the ATE does.
+    With `truth` the estimate is aligned to it and coloured by its error, and the ATE is returned;
+    without, only the path is drawn. Raises `EvaluationError` as `absolute_trajectory_error` does.
     """
     ate = None if truth is None else absolute_trajectory_error(estimate, truth)
     figure = Figure(figsize=(10.0, 8.0 if ate else 5.2), dpi=120, layout='constrained')
@@ -60,10 +60,11 @@ def plot_trajectory(
     return ate
 
 
-def _views(poses: NDArray) -> tuple[_View, _View]:
-    """Top and side view, taking for up the world axis nearest to the mean image-up direction.
+def _views(poses: NDArray[np.float64]) -> tuple[_Orthographic, _Orthographic]:
+    """Return a top and a side view of poses (N, 4, 4).
 
-    A trajectory may live in a z-up world (motion capture) or in its first camera's (y down).
+    Up is the world axis nearest to the mean up direction of the images: the world may be z-up
+    (motion capture) or y-down (the first camera's frame).
     """
     image_up = -poses[:, :3, 1].mean(axis=0)
     up = int(np.argmax(np.abs(image_up)))
@@ -73,18 +74,21 @@ def _views(poses: NDArray) -> tuple[_View, _View]:
         first, second = second, first
     extent = np.ptp(poses[:, :3, 3], axis=0)
     longer = first if extent[first] >= extent[second] else second
-    return _View('from above', first, second, False), _View('from the side', longer, up, down)
+    return (
+        _Orthographic('from above', first, second, False),
+        _Orthographic('from the side', longer, up, down),
+    )
 
 
 def _draw_view(
     ax: Axes,
-    view: _View,
-    poses: NDArray,
+    view: _Orthographic,
+    poses: NDArray[np.float64],
     estimate: Trajectory,
     truth: Trajectory | None,
     ate: AteResult | None,
 ) -> None:
-    """Draw truth, estimate, start and end as one view shows them."""
+    """Draw truth, estimate, start and end in one view."""
     flat = poses[:, [view.right, view.up], 3]
     if truth is None or ate is None:
         ax.plot(*flat.T, color=_PATH_COLOR, linewidth=1.6, label='estimate')
@@ -104,8 +108,10 @@ def _draw_view(
     ax.grid(alpha=0.25)
 
 
-def _colored_path(flat: NDArray, estimate: Trajectory, ate: AteResult) -> LineCollection:
-    """Colour the path by its error; poses without truth take their neighbours'."""
+def _colored_path(
+    flat: NDArray[np.float64], estimate: Trajectory, ate: AteResult
+) -> LineCollection:
+    """Colour the path (N, 2) by its error, interpolated for poses without truth."""
     errors_cm = 100 * np.interp(estimate.stamps_ns, ate.stamps_ns, ate.errors_m)
     lines = LineCollection(
         list(np.stack([flat[:-1], flat[1:]], axis=1)),
@@ -120,7 +126,7 @@ def _colored_path(flat: NDArray, estimate: Trajectory, ate: AteResult) -> LineCo
 
 
 def _draw_error(ax: Axes, ate: AteResult) -> None:
-    """Draw the error of each pose over time."""
+    """Plot the error of each pose over time."""
     seconds = (ate.stamps_ns - ate.stamps_ns[0]) * 1e-9
     errors_cm = 100 * ate.errors_m
     ax.fill_between(seconds, errors_cm, color=_PATH_COLOR, alpha=0.15, linewidth=0)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How well a map renders what the camera saw, view by view and over a run."""
+"""Rendering scores of a map, for one view and averaged over a run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROTOCOL = 'full'  # every valid pixel, no correction of exposure
 
 @dataclass(frozen=True)
 class Scores:
-    """How alike one rendered and one real image are."""
+    """Similarity of a rendered and a real image."""
 
     psnr_db: float
     ssim: float
@@ -32,9 +32,9 @@ class ViewScores(Scores):
 
     index: int  # of the frame in the source, from 0
     keyframe: bool
-    interpolated: Scores | None  # with the exposure interpolated from the keyframes' to the frame
-    depth_masked: Scores  # pixels without depth are black in both images
-    mean_transmittance: float  # over the valid pixels: 0 where the map fills the view
+    interpolated: Scores | None  # with the keyframes' exposures interpolated to the frame
+    depth_masked: Scores  # with pixels without depth set to black in both images
+    mean_transmittance: float  # over the valid pixels; 0 if the map fills the view
 
 
 def score_view(
@@ -48,12 +48,12 @@ def score_view(
     transmittance: NDArray[np.float32],
     lpips: Lpips | None,
 ) -> ViewScores:
-    """Score a view as the model shows it against the `truth`, both (H, W, 3); `truth` is 0 to 1.
+    """Return the scores of a rendered view `shown` against `truth`, both (H, W, 3), 0 to 1.
 
-    `with_exposure` is the same view with its exposure interpolated. What was rendered is clipped
-    to 0 to 1 first. The scores are over the pixels where `valid` (H, W) is true; LPIPS, which
-    knows no mask, sees the truth at the others. `depth_m` is 0 where nothing was measured. Raises
-    `SimilarityError` where shapes differ or no pixel is valid, `LpipsError` as `Lpips` does.
+    `with_exposure` is the same view with its exposure interpolated. Rendered values are clipped
+    to 0 to 1. The scores are over the pixels where `valid` (H, W) is true; LPIPS has no mask and
+    gets the truth at the others. `depth_m` (H, W) is 0 where nothing was measured. Raises
+    `SimilarityError` if shapes differ or no pixel is valid, `LpipsError` as `Lpips` does.
     """
     for name, plane in (('depth', depth_m), ('valid', valid), ('transmittance', transmittance)):
         if plane.shape != truth.shape[:2]:
@@ -73,9 +73,9 @@ def score_view(
 
 
 def rendering_report(scores: Sequence[ViewScores]) -> dict[str, Any]:
-    """Make the part `rendering` of a report: means over views, of PSNR in dB as all print it.
+    """Return the part `rendering` of a report: means over views, of PSNR in dB as is usual.
 
-    None stands where no view has a value.
+    A mean is None if no view has a value.
     """
     interpolated = [view.interpolated for view in scores if view.interpolated is not None]
     return {
@@ -91,7 +91,10 @@ def rendering_report(scores: Sequence[ViewScores]) -> dict[str, Any]:
 
 
 def _scores(
-    rendered: NDArray, truth: NDArray, valid: NDArray[np.bool_], lpips: Lpips | None
+    rendered: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    lpips: Lpips | None,
 ) -> Scores:
     image = np.where(valid[..., None], np.clip(rendered, 0, 1), truth)
     return Scores(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a run was, and the report that is made of it."""
+"""The record of a run, and the report made from it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.tracking.tracker import TrackingState, TrackResult
+from ..core.tracking.result import TrackingState, TrackResult
 from ..core.trajectory import Trajectory
 from .rendering import ViewScores, rendering_report
 from .trajectory import (
@@ -25,57 +25,57 @@ from .trajectory import (
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """A frame that the tracker took, lost or not."""
+    """A frame that the tracker accepted; it may be lost."""
 
     index: int  # in the source, from 0
     result: TrackResult
-    seconds: float  # to track it and to exchange with the mapper: neither decoding nor waiting
-    gaussians: int  # in the map afterwards
+    seconds: float  # inside `track` and in the exchange with the mapper, decoding excluded
+    gaussians: int  # in the tracker's map afterwards
 
 
 @dataclass(frozen=True)
 class SkippedFrame:
-    """A frame that could not be read, or that the tracker refused."""
+    """A frame that could not be read, was refused by the tracker, or was dropped."""
 
     index: int
-    stamp_ns: int | None  # None: not read so far
+    stamp_ns: int | None  # None: unknown, as the frame could not be read
     name: str
     reason: str
-    dropped: bool = False  # sound, but the tracker was busy until a newer one had come
+    dropped: bool = False  # a newer frame arrived before the tracker was free
 
 
 @dataclass
 class RunRecord:
-    """What happened, frame by frame."""
+    """What happened in a run, frame by frame."""
 
     source: str
     ablation: str
-    address: str = ''  # what the source was opened by, as the user gave it
-    camera: str | None = None  # likewise
+    address: str = ''  # of the source, as the user gave it
+    camera: str | None = None  # as the user gave it
     tracked: list[TrackedFrame] = field(default_factory=list)
     skipped: list[SkippedFrame] = field(default_factory=list)
-    wall_s: float = 0.0  # from the first frame asked for to the last one done, decoding included
-    interrupted: bool = True  # until the last frame is done; or in the steps after it
-    gaussians: int | None = None  # of the mapper, at the end; None: the run only tracked
-    iterations: int = 0
-    mapping_s: float = 0.0  # the mapper's own time
+    wall_s: float = 0.0  # from asking for the first frame to the end of the last, with decoding
+    interrupted: bool = True  # False once the last frame is done; True again if refining is cut
+    gaussians: int | None = None  # in the mapper's map at the end; None: the run only tracked
+    iterations: int = 0  # optimisation steps of the mapper
+    mapping_s: float = 0.0  # time of the mapper alone
 
     def trajectory(self) -> Trajectory:
-        """Poses of all frames; a lost one has the last good pose."""
+        """Return the poses of all tracked frames; a lost one has the last good pose."""
         return _trajectory(self.tracked)
 
     def keyframes(self) -> Trajectory:
-        """Poses of the keyframes, as they were tracked."""
+        """Return the poses of the keyframes as they were tracked."""
         return _trajectory([frame for frame in self.tracked if frame.result.keyframe])
 
     def count(self, *states: TrackingState) -> int:
-        """Count the frames in any of these states."""
+        """Return the number of frames in any of these states."""
         return sum(frame.result.state in states for frame in self.tracked)
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far a trajectory is from the truth; None with a reason where that cannot be told."""
+    """ATE and RPE of a trajectory, each None with a reason if it was not computed."""
 
     ate: AteResult | None = None
     rpe_1s: RpeResult | None = None
@@ -84,7 +84,7 @@ class Accuracy:
 
 
 def assess(estimate: Trajectory, truth: Trajectory | None) -> Accuracy:
-    """Compute ATE and RPE over 1 s, each where there is enough to compute it from."""
+    """Return ATE and RPE over 1 s, each if the trajectories allow it."""
     if truth is None:
         return Accuracy()
     try:
@@ -100,14 +100,14 @@ def assess(estimate: Trajectory, truth: Trajectory | None) -> Accuracy:
 def build_report(
     record: RunRecord, accuracy: Accuracy, machine: str, peak_rss_mb: float | None, version: str
 ) -> dict[str, Any]:
-    """Report a run of at least one tracked frame, as JSON has it: what is not finite is None.
+    """Return report.json of a run with at least one tracked frame; non-finite values are None.
 
-    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes the `degenerate` ones, `skipped`
-    the `dropped` ones. `tracking` is over the time inside `track` and for the exchange with the
-    mapper alone. Decoding, waiting for it, and the mapper's steps between frames are in `wall_s`;
-    starting, the steps after the last frame, and writing are in neither. `realtime_factor` is the
-    sequence's duration over `wall_s`. Iterations are per second of the mapper's own time.
-    `rendering` is None until `with_rendering`.
+    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes `degenerate`, `skipped` includes
+    `dropped`. `tracking` covers only the time inside `track` and the exchange with the mapper;
+    `wall_s` also covers decoding and the mapper's steps between frames. Neither covers the start,
+    the steps after the last frame, and writing. `realtime_factor` is the duration of the sequence
+    over `wall_s`. `iterations_per_s` is over the mapper's own time. `rendering` is None until
+    `with_rendering`.
     """
     stamps = [record.tracked[k].result.stamp_ns for k in (0, -1)]
     last = record.tracked[-1]
@@ -142,13 +142,13 @@ def build_report(
 
 
 def with_rendering(report: dict[str, Any], scores: Sequence[ViewScores]) -> dict[str, Any]:
-    """Copy of a report with its part `rendering`; None where no view was scored."""
+    """Return a copy of a report with its part `rendering`, None if no view was scored."""
     rendering = rendering_report(scores) if scores else None
     return {**report, 'rendering': _finite(rendering)}
 
 
 def accuracy_report(accuracy: Accuracy) -> dict[str, dict[str, float] | None]:
-    """Make the parts `ate` and `rpe_1s` of a report."""
+    """Return the parts `ate` and `rpe_1s` of a report."""
     ate, rpe = accuracy.ate, accuracy.rpe_1s
     keys = ('rmse_cm', 'mean_cm', 'median_cm', 'max_cm')
     return {
@@ -184,7 +184,7 @@ def _mapping(record: RunRecord) -> dict[str, float]:
 
 
 def _observability(record: RunRecord) -> dict[str, float | None]:
-    """Take medians over the frames that have a Hessian: not the first, not the lost."""
+    """Return medians over the frames with a Hessian: neither the first nor lost ones."""
     known = [frame.result.observability for frame in record.tracked]
     report: dict[str, float | None] = {}
     for name in ('kappa', 'kappa_without_radius', 'kappa_rotation', 'kappa_translation'):
@@ -194,7 +194,7 @@ def _observability(record: RunRecord) -> dict[str, float | None]:
 
 
 def _finite(value: Any) -> Any:
-    """Replace what JSON cannot hold by None."""
+    """Replace non-finite numbers, which JSON cannot hold, by None."""
     if isinstance(value, dict):
         return {key: _finite(inner) for key, inner in value.items()}
     if isinstance(value, float) and not math.isfinite(value):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A map against the images of the sequence that it was made from."""
+"""Scores of a saved map against the images of its sequence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from ..core.frame import RgbdFrame
-from ..core.mapping.views import Rectifier
+from ..core.mapping.rectification import Rectifier
 from ..core.render.renderer import Renderer
 from ..core.trajectory import Trajectory
 from ..datasets.prefetch import prefetch_frames
@@ -25,12 +25,12 @@ from .map_view import MapView
 from .rendering import ViewScores, score_view
 from .similarity import psnr_db
 
-_LPIPS_VIEWS = 40
+_LPIPS_VIEWS = 40  # LPIPS takes about a second a view
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What came of it."""
+class MapScores:
+    """Scores of the views of a map, and some views to look at."""
 
     scores: list[ViewScores] = field(default_factory=list)
     pairs: list[ContactPair] = field(default_factory=list)  # of a few frames, keyframes last
@@ -38,36 +38,36 @@ class Scored:
 
 def score_map(
     saved: SavedMap, trajectory: Trajectory, source: Source, every: int, renderer: Renderer
-) -> Scored:
-    """Go through the source again and score each frame whose index `every` divides.
+) -> MapScores:
+    """Read the source again and score each frame whose index is a multiple of `every`.
 
-    `trajectory` holds the poses as they were tracked, lost frames' too; frames without one are
-    passed over. LPIPS takes a second a view, so it is computed for about 40 of them only, evenly
-    spread. Raises `MapFileError` for an empty map, `SourceError` for another map's source.
+    `trajectory` holds the tracked poses, those of lost frames included; frames without a pose are
+    skipped. LPIPS is computed for about 40 of the views, spread evenly. Raises `MapFileError` for
+    an invalid map, `SourceError` if the source is not the one that the map was made from.
     """
-    view, found = MapView(saved, renderer), Scored()
+    view, found = MapView(saved, renderer), MapScores()
     _check_size(saved, source)
-    on_sheet = _held_out(trajectory, view.keyframes)
+    on_sheet = _for_contact_sheet(trajectory, view.keyframes)
     lpips, lpips_every = Lpips.load(), -(-len(trajectory) // (every * _LPIPS_VIEWS))
     rectify = Rectifier(saved.camera)
     with closing(_with_poses(source, trajectory)) as frames:
         for index, frame, T_tracked in frames:
             if index % every and frame.stamp_ns not in on_sheet:
                 continue
-            seen = _see(view, rectify, index, frame, T_tracked)
+            rendered = _render(view, rectify, index, frame, T_tracked)
             if index % every == 0:
                 sampled = len(found.scores) % lpips_every == 0
-                found.scores.append(seen.score(lpips if sampled else None))
+                found.scores.append(rendered.score(lpips if sampled else None))
             if frame.stamp_ns in on_sheet:
-                found.pairs.append(seen.pair())
+                found.pairs.append(rendered.pair())
     if not found.scores:
         raise SourceError(f'{source.name}: none of its frames has one of {len(trajectory)} poses')
     return found
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A frame as the map and as the camera shows it."""
+class _RenderedFrame:
+    """A frame and its rendering from the map."""
 
     index: int
     keyframe: bool
@@ -89,12 +89,13 @@ class _Seen:
         return ContactPair(f'frame {self.index + 1}, {psnr:.1f} dB', self.shown, self.real)
 
 
-def _see(
+def _render(
     view: MapView, rectify: Rectifier, index: int, frame: RgbdFrame, T_tracked: NDArray[np.float64]
-) -> _Seen:
+) -> _RenderedFrame:
+    """Rectify a frame and render the map at its pose."""
     images, rendering = rectify(frame), view.show(frame.stamp_ns, T_tracked)
     shown = np.ascontiguousarray(np.moveaxis(rendering.color, 0, -1))
-    return _Seen(
+    return _RenderedFrame(
         index, frame.stamp_ns in view.keyframes, shown, view.exposed(frame.stamp_ns, shown),
         images.color.astype(np.float32) / np.float32(255), images.depth_m, rectify.valid,
         rendering.transmittance,
@@ -102,13 +103,14 @@ def _see(
 
 
 def _check_size(saved: SavedMap, source: Source) -> None:
+    """Raise `SourceError` if the source's images are not of the size of the map's."""
     sizes = [f'{camera.width}x{camera.height}' for camera in (source.camera, saved.camera)]
     if sizes[0] != sizes[1]:
         raise SourceError(f'{source.name} has images of {sizes[0]} pixels, the map of {sizes[1]}')
 
 
-def _held_out(trajectory: Trajectory, keyframes: Collection[int]) -> set[int]:
-    """Choose stamps for the contact sheet, evenly over the sequence; no keyframe if possible."""
+def _for_contact_sheet(trajectory: Trajectory, keyframes: Collection[int]) -> set[int]:
+    """Return stamps spread evenly over the sequence, of keyframes only if there are no others."""
     stamps = [stamp for stamp in trajectory.stamps_ns.tolist() if stamp not in keyframes]
     stamps = stamps or trajectory.stamps_ns.tolist()
     return {stamps[(2 * k + 1) * len(stamps) // (2 * MAX_ROWS)] for k in range(MAX_ROWS)}
@@ -117,7 +119,7 @@ def _held_out(trajectory: Trajectory, keyframes: Collection[int]) -> set[int]:
 def _with_poses(
     source: Source, trajectory: Trajectory
 ) -> Generator[tuple[int, RgbdFrame, NDArray[np.float64]], None, None]:
-    """Yield index, frame and pose of the frames that have one; on a terminal with a bar."""
+    """Yield index, frame and pose of the frames that have one; a terminal shows a bar."""
     poses = dict(zip(trajectory.stamps_ns.tolist(), trajectory.T_world_cam, strict=True))
     bar = tqdm(total=len(poses), unit='frame', desc='scoring', disable=None, dynamic_ncols=True)
     with bar, closing(prefetch_frames(source, len(source), quietly=True)) as items:

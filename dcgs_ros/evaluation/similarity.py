@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How alike two images are: PSNR and SSIM over the pixels that count."""
+"""PSNR and SSIM of two images, over all or over the valid pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from ..core.errors import DcgsError
 
-PSNR_MAX_DB = 100.0  # of images that are equal, or as good as: their PSNR is infinite
+Image = NDArray[np.floating]  # (H, W, 3)
+
+PSNR_MAX_DB = 100.0  # instead of infinity, for images that are (nearly) equal
 _C1, _C2 = 0.01**2, 0.03**2
 _WINDOW_PX, _SIGMA_PX = (11, 11), 1.5
 
@@ -19,11 +21,11 @@ class SimilarityError(DcgsError):
     """Two images cannot be compared."""
 
 
-def psnr_db(image: NDArray, truth: NDArray, valid: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal to noise ratio of (H, W, 3) images of 0 to 1, at most `PSNR_MAX_DB`.
+def psnr_db(image: Image, truth: Image, valid: NDArray[np.bool_] | None = None) -> float:
+    """Return the peak signal-to-noise ratio of (H, W, 3) images in 0 to 1, at most `PSNR_MAX_DB`.
 
     The squared error is averaged over all channels of the pixels where `valid` (H, W) is true.
-    Raises `SimilarityError` where shapes differ or no pixel is valid.
+    Raises `SimilarityError` if shapes differ or no pixel is valid.
     """
     check_images(image, truth, valid)
     squared = np.square(np.subtract(image, truth, dtype=np.float64))
@@ -31,15 +33,16 @@ def psnr_db(image: NDArray, truth: NDArray, valid: NDArray[np.bool_] | None = No
     return -10.0 * float(np.log10(np.maximum(error, 10 ** (-PSNR_MAX_DB / 10))))
 
 
-def ssim(image: NDArray, truth: NDArray, valid: NDArray[np.bool_] | None = None) -> float:
-    """Structural similarity of (H, W, 3) images of 0 to 1 (Wang et al. 2004).
+def ssim(image: Image, truth: Image, valid: NDArray[np.bool_] | None = None) -> float:
+    """Return the structural similarity of (H, W, 3) images in 0 to 1 (Wang et al. 2004).
 
-    Per channel, in Gaussian windows of 11x11 pixels, sigma 1.5, that see zeros beyond the border
-    (as in 3DGS); the mean over the pixels where `valid` (H, W) is true. The others are taken from
-    `truth` in both images. Raises `SimilarityError` where shapes differ or no pixel is valid.
+    Computed per channel in Gaussian windows of 11x11 pixels with sigma 1.5 and zeros beyond the
+    border (as in 3DGS), and averaged over the pixels where `valid` (H, W) is true. Invalid pixels
+    are taken from `truth` in both images. Raises `SimilarityError` if shapes differ or no pixel is
+    valid.
     """
     check_images(image, truth, valid)
-    # float32 moves the mean by less than 1e-6, and takes less than half of float64's time.
+    # float32 changes the mean by less than 1e-6 and takes less than half the time of float64.
     x, y = image.astype(np.float32), truth.astype(np.float32)
     if valid is not None:
         x = np.where(valid[..., None], x, y)
@@ -53,10 +56,10 @@ def ssim(image: NDArray, truth: NDArray, valid: NDArray[np.bool_] | None = None)
     return float(counted.mean(dtype=np.float64))
 
 
-def check_images(image: NDArray, truth: NDArray, valid: NDArray[np.bool_] | None = None) -> None:
-    """Raise `SimilarityError` for what is no pair of images with a valid pixel."""
+def check_images(image: Image, truth: Image, valid: NDArray[np.bool_] | None = None) -> None:
+    """Raise `SimilarityError` unless both are (H, W, 3) and at least one pixel is valid."""
     if image.ndim != 3 or image.shape[2] != 3 or image.shape != truth.shape:
-        raise SimilarityError(f'images of {image.shape} and {truth.shape}, not twice (H, W, 3)')
+        raise SimilarityError(f'images of {image.shape} and {truth.shape}, not both (H, W, 3)')
     if valid is not None and (valid.shape != image.shape[:2] or valid.dtype != np.bool_):
         raise SimilarityError(
             f'valid is {valid.dtype} {valid.shape}, not bool {image.shape[:2]} as the images are'
@@ -67,4 +70,5 @@ def check_images(image: NDArray, truth: NDArray, valid: NDArray[np.bool_] | None
 
 
 def _blurred(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (H, W, 3) averaged in Gaussian windows."""
     return cv2.GaussianBlur(values, _WINDOW_PX, _SIGMA_PX, borderType=cv2.BORDER_CONSTANT)

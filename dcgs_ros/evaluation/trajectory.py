@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far an estimated trajectory is from the true one: ATE and RPE."""
+"""Errors of an estimated trajectory against ground truth: ATE and RPE."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 
 MAX_GAP_NS = 20_000_000  # poses farther apart in time are not compared
-MIN_MATCHES = 3  # fewer points leave the alignment free
+MIN_MATCHES = 3  # fewer points do not determine the alignment
 
 
 class EvaluationError(DcgsError):
@@ -24,7 +24,7 @@ class EvaluationError(DcgsError):
 
 @dataclass(frozen=True)
 class AteResult:
-    """Absolute trajectory error: distances of positions after a rigid alignment."""
+    """Absolute trajectory error: distances between positions after rigid alignment."""
 
     rmse_cm: float
     mean_cm: float  # what some publications print as RMSE
@@ -39,7 +39,7 @@ class AteResult:
 
 @dataclass(frozen=True)
 class RpeResult:
-    """Relative pose error: the drift over a fixed time."""
+    """Relative pose error: the drift over a fixed time interval."""
 
     trans_rmse_cm: float
     rot_rmse_deg: float
@@ -49,15 +49,15 @@ class RpeResult:
 def associate(
     estimate: Trajectory, truth: Trajectory, max_gap_ns: int = MAX_GAP_NS
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Match poses taken at the same time: indices into `estimate` and into `truth`.
+    """Match poses by their stamps; return indices into `estimate` and into `truth`, (M,) each.
 
     Each pose of the trajectory with fewer poses is matched to the nearest of the other, the
-    earlier of two equally near, if within `max_gap_ns`; so the one with more may give a pose
-    twice. This is evo's rule. Raises `EvaluationError` for fewer than three matches.
+    earlier of two equally near, if it is within `max_gap_ns`; a pose of the other may be matched
+    more than once. This is evo's rule. Raises `EvaluationError` for fewer than three matches.
     """
     if not len(estimate) or not len(truth):
         raise EvaluationError(f'{len(estimate)} estimated and {len(truth)} true poses')
-    # evo's tie: of two equally long the estimate counts as the shorter.
+    # As in evo: of two equally long trajectories the estimate counts as the shorter one.
     estimate_is_shorter = len(estimate) <= len(truth)
     short, long = (estimate, truth) if estimate_is_shorter else (truth, estimate)
     right = np.clip(np.searchsorted(long.stamps_ns, short.stamps_ns), 1, max(len(long) - 1, 1))
@@ -77,11 +77,13 @@ def associate(
     return (kept, nearest[kept]) if estimate_is_shorter else (nearest[kept], kept)
 
 
-def align_umeyama(points: NDArray, targets: NDArray) -> NDArray[np.float64]:
-    """Find T_target_point (4, 4), the rigid motion without scale of least squared distances.
+def align_umeyama(
+    points: NDArray[np.float64], targets: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return T_target_point (4, 4), the rigid transform with the least squared distances.
 
-    `points` and `targets` are (N, 3), metres. Umeyama 1991. Where all points lie on a line the
-    turn about it is arbitrary; the distances left over are the least ones all the same.
+    `points` and `targets` are (N, 3), metres; there is no scale (Umeyama 1991). If all points lie
+    on a line, the rotation about it is arbitrary, and the distances are still the least.
     """
     points, targets = np.asarray(points, np.float64), np.asarray(targets, np.float64)
     mean_point, mean_target = points.mean(axis=0), targets.mean(axis=0)
@@ -97,7 +99,7 @@ def align_umeyama(points: NDArray, targets: NDArray) -> NDArray[np.float64]:
 def absolute_trajectory_error(
     estimate: Trajectory, truth: Trajectory, max_gap_ns: int = MAX_GAP_NS
 ) -> AteResult:
-    """Compute the ATE over all estimated poses that have a true one, after `align_umeyama`."""
+    """Return the ATE over all matched poses after `align_umeyama`; raises as `associate` does."""
     i, j = associate(estimate, truth, max_gap_ns)
     points = estimate.T_world_cam[i, :3, 3]
     targets = truth.T_world_cam[j, :3, 3]
@@ -124,10 +126,10 @@ def relative_pose_error(
     tolerance_ns: int = MAX_GAP_NS,
     max_gap_ns: int = MAX_GAP_NS,
 ) -> RpeResult:
-    """Compute the RPE over `delta_ns`, from each pose to the one nearest to that much later.
+    """Return the RPE between each pose and the one nearest to `delta_ns` later.
 
-    The later pose may be `tolerance_ns` off; poses without one are left out (so is what spans a
-    gap). Raises `EvaluationError` if no pair is left.
+    Pairs whose interval differs from `delta_ns` by more than `tolerance_ns` are left out, as
+    across a gap. Raises `EvaluationError` if no pair is left.
     """
     i, j = associate(estimate, truth, max_gap_ns)
     stamps = estimate.stamps_ns[i]
@@ -152,10 +154,12 @@ def relative_pose_error(
     )
 
 
-def _relative(poses: NDArray, start: NDArray, end: NDArray) -> NDArray[np.float64]:
-    """T_start_end, (N, 4, 4)."""
+def _relative(
+    poses: NDArray[np.float64], start: NDArray[np.int64], end: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return T_start_end (N, 4, 4) of the poses at the indices `start` and `end`, (N,) each."""
     return np.linalg.inv(poses[start]) @ poses[end]
 
 
-def _rms(values: NDArray) -> float:
+def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -1,21 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Named arrays, bytes and JSON in one zip file that `np.load` opens too.
+"""Archives of named arrays, bytes and JSON: zip files that `np.load` opens, too.
 
-Members are stored, not deflated: floats hardly compress, and what is stored cannot be a bomb. The
-first is `metadata.json` with the version; arrays are `NAME.npy`. Equal contents are equal bytes.
+Members are stored, not deflated: floats hardly compress, and a stored member cannot expand. The
+first is `metadata.json` with the version; arrays are `NAME.npy`. Equal contents give equal bytes.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import struct
 import zipfile
-import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -24,31 +21,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import DcgsError
 from .whole_files import replacing
+from .zip_members import MEMBER_LIMIT, MEMBERS_LIMIT, ArchiveError, check_name, read_members
 
 VERSION = 1  # of the archive and of what the package keeps in one
 
 _FORMAT = 'dcgs_ros archive'
 _METADATA = 'metadata.json'
-_METADATA_LIMIT = 1 << 16  # bytes; parsed, JSON takes up to thirty times its size
-_MEMBERS_LIMIT = (1 << 16) - 1  # what zip counts without an extension
-_MEMBER_LIMIT = 2_000_000_000  # bytes: likewise, for zipfile
-_NAME = re.compile('[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}')
+_METADATA_LIMIT = 1 << 16  # bytes; parsed JSON takes up to thirty times its size
 _DTYPES = frozenset(
     ['|b1', '|i1', '|u1', '<i2', '<u2', '<i4', '<u4', '<i8', '<u8', '<f4', '<f8']
 )  # fmt: skip
 
-# Signature, version, flags, method, time, date, CRC, packed, size, length of name, of extra field.
-_LOCAL = struct.Struct('<4s5H3I2H')
-_LOCAL_SIGNATURE = b'PK\x03\x04'
-_CENTRAL_SIGNATURE = b'PK\x01\x02'
-# Signature, two disks, members here, members, size and offset of the directory, comment's length.
-_END = struct.Struct('<4s4H2IH')
-_END_SIGNATURE = b'PK\x05\x06'
-_NAMES_IN_UTF8 = 0x800  # the one flag that changes nothing for these names
-
-# The header as numpy writes it, and nothing else that `ast.literal_eval` would understand too.
+# Exactly the header that numpy writes; `ast.literal_eval`, which numpy uses, accepts more.
 _NPY = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '([^']{1,20})', 'fortran_order': False, "
     rb"'shape': \((|[0-9]{1,18},|[0-9]{1,18}(?:, [0-9]{1,18})+)\), \} *\n",
@@ -58,30 +43,26 @@ _NPY_HEADER_LIMIT = 1024  # bytes
 _NPY_ALIGNMENT = 16  # bytes, of the data after the header
 
 
-class ArchiveError(DcgsError):
-    """A file is no archive, or contents cannot be written as one."""
-
-
 @dataclass(frozen=True)
 class Archive:
-    """What an archive holds; the arrays are its own and may be written to."""
+    """The contents of an archive; its arrays are writable."""
 
-    arrays: Mapping[str, NDArray]
+    arrays: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, Any]
     blobs: Mapping[str, bytes]
 
 
 def write_archive(
     path: Path | str,
-    arrays: Mapping[str, NDArray],
+    arrays: Mapping[str, NDArray[Any]],
     metadata: Mapping[str, Any],
     blobs: Mapping[str, bytes],
 ) -> None:
     """Write an archive, with its members in the order given.
 
-    `metadata` is what JSON can hold, up to 64 KiB of it. A blob's name is its member's, suffix and
-    all. The file appears whole or not at all. Raises `ArchiveError`, naming the member that cannot
-    be written, or where the file cannot.
+    `metadata` must fit JSON of up to 64 KiB. A blob's name, with its suffix, is its member's. The
+    file is written completely or not at all. Raises `ArchiveError` for a member that cannot be
+    stored, naming it, or if the file cannot be written.
     """
     path = Path(path)
     try:
@@ -91,7 +72,7 @@ def write_archive(
     try:
         with replacing(path) as temporary, zipfile.ZipFile(temporary, 'w') as archive:
             for name, content in members.items():
-                # ZipInfo's date is 1980 unless told otherwise, and its method to store.
+                # By default ZipInfo's date is 1980 and its method to store.
                 with archive.open(zipfile.ZipInfo(name), 'w') as member:
                     if isinstance(content, bytes):
                         member.write(content)
@@ -102,9 +83,9 @@ def write_archive(
 
 
 def read_archive(path: Path | str) -> Archive:
-    """Read an archive; it takes no more memory than the file's size and a few MiB.
+    """Read an archive, in no more memory than the file's size and a few MiB.
 
-    Raises `ArchiveError`, naming the file and what is wrong with it.
+    Raises `ArchiveError` naming the file and what is wrong with it.
     """
     try:
         with open(path, 'rb') as file:
@@ -116,10 +97,10 @@ def read_archive(path: Path | str) -> Archive:
 
 
 def _members_to_write(
-    arrays: Mapping[str, NDArray], metadata: Mapping[str, Any], blobs: Mapping[str, bytes]
-) -> dict[str, bytes | NDArray]:
-    """Name and check every member; raises `ArchiveError`."""
-    members: dict[str, bytes | NDArray] = {_METADATA: _encode_metadata(metadata)}
+    arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any], blobs: Mapping[str, bytes]
+) -> dict[str, bytes | NDArray[Any]]:
+    """Return the members by name, all checked; raises `ArchiveError`."""
+    members: dict[str, bytes | NDArray[Any]] = {_METADATA: _encode_metadata(metadata)}
     for name, array in arrays.items():
         if array.dtype.str not in _DTYPES:
             raise ArchiveError(f'array {name!r} is {array.dtype}')
@@ -131,9 +112,9 @@ def _members_to_write(
         _check_size(name, len(blob))
         members[name] = blob
     for name in members:
-        _check_name(name)
-    if len(members) > _MEMBERS_LIMIT:
-        raise ArchiveError(f'{len(members)} members are more than {_MEMBERS_LIMIT}')
+        check_name(name)
+    if len(members) > MEMBERS_LIMIT:
+        raise ArchiveError(f'{len(members)} members are more than {MEMBERS_LIMIT}')
     return members
 
 
@@ -148,25 +129,18 @@ def _encode_metadata(metadata: Mapping[str, Any]) -> bytes:
     return text
 
 
-def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name):
-        raise ArchiveError(
-            f'{name[:40]!r} is no name of a member: up to 100 letters, digits and _ . -'
-        )
-
-
 def _check_size(name: str, size: int) -> None:
-    if size > _MEMBER_LIMIT:
-        raise ArchiveError(f'{name!r} has {size} bytes, more than {_MEMBER_LIMIT}')
+    if size > MEMBER_LIMIT:
+        raise ArchiveError(f'{name!r} has {size} bytes, more than {MEMBER_LIMIT}')
 
 
 def _read(file: BufferedReader) -> Archive:
-    members = _members(file)
+    members = read_members(file)
     name, data = next(members)
     if name != _METADATA:
         raise ArchiveError(f'begins with {name!r}, not with {_METADATA}')
     metadata = _decode_metadata(data)
-    arrays: dict[str, NDArray] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     blobs: dict[str, bytes] = {}
     for name, data in members:
         if name.endswith('.npy'):
@@ -177,70 +151,8 @@ def _read(file: BufferedReader) -> Archive:
     return Archive(arrays, metadata, blobs)
 
 
-def _members(file: BufferedReader) -> Iterator[tuple[str, bytes | bytearray]]:
-    """Yield name and content of the members, in the file's order, from the header before each.
-
-    The directory at the file's end, which repeats them, could name them in any other way: without
-    it no two members overlap, and together they are no larger than the file.
-    """
-    names: set[str] = set()
-    while (head := file.read(_LOCAL.size)).startswith(_LOCAL_SIGNATURE):
-        name, data = _read_member(file, head)
-        if name in names:
-            raise ArchiveError(f'member {name!r} is there twice')
-        names.add(name)
-        if len(names) > _MEMBERS_LIMIT:
-            raise ArchiveError(f'more than {_MEMBERS_LIMIT} members')
-        yield name, data
-    if not names:
-        raise ArchiveError(f'no archive: begins with {head[:12]!r}')
-    _check_end(file, head, len(names))
-
-
-def _read_member(file: BufferedReader, head: bytes) -> tuple[str, bytes | bytearray]:
-    """Read what follows the first bytes of a member's header."""
-    if len(head) < _LOCAL.size:
-        raise ArchiveError('cut off within the header of a member')
-    _, _, flags, method, _, _, crc, packed, size, name_size, extra_size = _LOCAL.unpack(head)
-    name = file.read(name_size).decode('ascii', errors='replace')
-    file.seek(extra_size, os.SEEK_CUR)
-    _check_name(name)
-    if flags & ~_NAMES_IN_UTF8:
-        raise ArchiveError(f'member {name!r} is encrypted or streamed: flags 0x{flags:04x}')
-    if method != zipfile.ZIP_STORED or packed != size:
-        raise ArchiveError(
-            f'member {name!r} is compressed: method {method}, {size} bytes in {packed}'
-        )
-    left = os.fstat(file.fileno()).st_size - file.tell()
-    if size > left:
-        raise ArchiveError(
-            f'member {name!r} has {size} bytes by its header, but {left} are left of the file'
-        )
-    if name.endswith('.npy'):
-        data: bytes | bytearray = bytearray(size)  # so that the array on top can be written to
-        file.readinto(data)
-    else:
-        data = file.read(size)
-    found = zlib.crc32(data)
-    if found != crc:
-        raise ArchiveError(f'member {name!r} is damaged: CRC {found:08x}, not {crc:08x}')
-    return name, data
-
-
-def _check_end(file: BufferedReader, head: bytes, members: int) -> None:
-    """Raise `ArchiveError` unless a directory of so many members follows and is whole."""
-    start = max(0, os.fstat(file.fileno()).st_size - _END.size)
-    file.seek(start)
-    end = file.read(_END.size)
-    if not head.startswith(_CENTRAL_SIGNATURE) or not end.startswith(_END_SIGNATURE):
-        raise ArchiveError(f'cut off or damaged after {members} members')
-    counted = _END.unpack(end)[4]
-    if counted != members:
-        raise ArchiveError(f'holds {members} members, but its end counts {counted}')
-
-
 def _decode_metadata(data: bytes | bytearray) -> dict[str, Any]:
-    """Raise `ArchiveError` unless this program can read what follows."""
+    """Return the metadata; raises `ArchiveError` if the format or version is another."""
     if len(data) > _METADATA_LIMIT:
         raise ArchiveError(f'{_METADATA} has {len(data)} bytes, more than {_METADATA_LIMIT}')
     try:
@@ -257,8 +169,8 @@ def _decode_metadata(data: bytes | bytearray) -> dict[str, Any]:
     return metadata
 
 
-def _decode_array(name: str, data: bytes | bytearray) -> NDArray:
-    """See the array in the bytes of an .npy file, without a copy."""
+def _decode_array(name: str, data: bytes | bytearray) -> NDArray[Any]:
+    """Return the array in the bytes of an .npy file, without a copy."""
     header = _NPY.match(data, 0, _NPY_HEADER_LIMIT)
     if header is None:
         raise ArchiveError(f'{name!r} is no array of numbers: {bytes(data[:60])!r}')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The configuration as YAML: plain, or as a ROS 2 parameter file."""
+"""The configuration as a YAML file: plain, or as ROS 2's parameter files."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _ROS_BLOCK = 'ros__parameters'
 
 
 class SettingsFileError(ConfigError):
-    """A file of settings cannot be read, or holds something else."""
+    """A settings file cannot be read, or is not valid."""
 
 
 def apply_file(config: Config, path: Path | str) -> Config:
-    """Copy of `config` with what a YAML file sets.
+    """Return a copy of `config` with the settings of a YAML file.
 
     The file maps stages to fields (`sensor: {a_m: 0.001}`), plainly or below a node's name and
-    `ros__parameters`, as ROS 2 has it; of several nodes' blocks a later one wins. An empty file
-    sets nothing. Raises `SettingsFileError`, naming the file.
+    `ros__parameters`, as ROS 2's files do; of several nodes' blocks the last one wins. An empty
+    file sets nothing. Raises `SettingsFileError` naming the file.
     """
     try:
         return override(config, _read(Path(path)))
@@ -38,13 +38,13 @@ def apply_file(config: Config, path: Path | str) -> Config:
 
 
 def write_config(path: Path | str, config: Config) -> None:
-    """Write every field, so that `apply_file` makes an equal configuration of any other."""
+    """Write every field: `apply_file` then gives an equal configuration from any other."""
     text = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
     Path(path).write_text(text, encoding='utf-8')
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Read {'stage.field': value}."""
+    """Read a settings file as {'stage.field': value}."""
     try:
         tree = yaml.safe_load(path.read_bytes())
     except OSError as error:
@@ -66,7 +66,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _one_line(error: Exception) -> str:
-    """Say what and where; PyYAML shows the passage too, on lines of its own."""
+    """Return the problem and its line; PyYAML's own text takes several lines."""
     mark = getattr(error, 'problem_mark', None)
     problem = getattr(error, 'problem', None)
     if mark is None or problem is None:

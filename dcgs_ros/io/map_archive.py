@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A whole map in one archive: what tracker and mapper need to go on, or to localise in it."""
+"""A whole map in one archive: what tracker and mapper need to resume, or to localise in it."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ _Part = TypeVar('_Part')
 
 
 class MapFileError(DcgsError):
-    """A map's parts contradict each other, or its file cannot be read or written."""
+    """The parts of a map do not fit each other, or its file cannot be read or written."""
 
 
 @dataclass(frozen=True)
 class SavedKeyframe:
-    """One keyframe, its images encoded as files would be."""
+    """One keyframe, its images encoded as JPEG and PNG."""
 
     stamp_ns: int  # of the colour image
-    T_tracked: NDArray[np.float64]  # (4, 4) T_world_cam as the tracker had it
-    T_world_cam: NDArray[np.float64]  # (4, 4) as the mapper has it
+    T_tracked: NDArray[np.float64]  # (4, 4) T_world_cam of the tracker
+    T_world_cam: NDArray[np.float64]  # (4, 4) of the mapper
     exposure: NDArray[np.float32]  # (2, 3) gain and offset of red, green, blue
     color_jpeg: bytes
     depth_png: bytes
@@ -58,24 +58,24 @@ class SavedKeyframe:
 
 @dataclass(frozen=True)
 class SavedMap:
-    """N Gaussians with both covariances, L landmarks, and the keyframes they stem from."""
+    """N Gaussians with both covariances, L landmarks, and the keyframes that spawned them."""
 
     camera: PinholeCamera
     config: Config
     splats: Splats
-    ids: NDArray[np.int64]  # (N,) those the mapper spawned itself are negative
+    ids: NDArray[np.int64]  # (N,) negative for those that the mapper spawned
     hosts: NDArray[np.int32]  # (N,) index of the keyframe that spawned each
-    # (N, 3) optical centre of the last observation, metres, world: Sigma_t follows from it. NaN
-    # where the tracker does not have the Gaussian, or not any more.
+    # (N, 3) optical centre of the last observation, metres, world, which gives Sigma_t. NaN for
+    # Gaussians that the tracker does not have, or no longer has.
     viewpoints: NDArray[np.float32]
-    # (N, 6) Sigma_t: xx xy xz yy yz zz, square metres, world. NaN likewise.
+    # (N, 6) Sigma_t: xx xy xz yy yz zz, square metres, world. NaN for the same Gaussians.
     track_covariances: NDArray[np.float32]
     landmarks: NDArray[np.float64]  # (L, 3) metres, world
     landmark_covariances: NDArray[np.float64]  # (L, 3, 3) square metres, world
     keyframes: tuple[SavedKeyframe, ...]
 
     def __post_init__(self) -> None:
-        """Check that the parts fit each other; name the one that does not."""
+        """Check that the parts fit each other; raises `MapFileError` naming one that does not."""
         n, landmarks = len(self.splats), self.landmarks.size // 3
         _check('ids', self.ids, np.int64, (n,))
         _check('hosts', self.hosts, np.int32, (n,))
@@ -111,20 +111,20 @@ class SavedMap:
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """(N,) Gaussians that the tracker has, with a tracking covariance."""
-        nothing = np.isnan(self.viewpoints).all(axis=1) & np.isnan(self.track_covariances).all(
+        """Which Gaussians (N,) the tracker has, with a tracking covariance."""
+        missing = np.isnan(self.viewpoints).all(axis=1) & np.isnan(self.track_covariances).all(
             axis=1
         )
-        return np.asarray(~nothing)
+        return np.asarray(~missing)
 
 
 def write_map(path: Path | str, saved: SavedMap) -> None:
-    """Write a map; the file appears whole or not at all.
+    """Write a map; the file is written completely or not at all.
 
-    Raises `MapFileError` where it cannot be written.
+    Raises `MapFileError` if it cannot be written.
     """
     keyframes = saved.keyframes
-    arrays: dict[str, NDArray] = {'splats': saved.splats.planes}
+    arrays: dict[str, NDArray[Any]] = {'splats': saved.splats.planes}
     arrays |= {name: getattr(saved, name) for name in _ARRAYS}
     arrays['stamps_ns'] = np.array([k.stamp_ns for k in keyframes], np.int64)
     arrays['tracked'] = np.array([k.T_tracked for k in keyframes]).reshape(-1, 4, 4)
@@ -144,9 +144,9 @@ def write_map(path: Path | str, saved: SavedMap) -> None:
 def read_map(path: Path | str) -> SavedMap:
     """Read a map exactly as it was written.
 
-    Settings that are newer than the file have their defaults. Raises `MapFileError`, naming the
-    file and what is wrong with it: not an archive, a part that is missing or does not fit the
-    others, a setting that does not exist, numbers that are not finite.
+    Settings that the file does not have get their defaults. Raises `MapFileError` naming the file
+    and what is wrong with it: not an archive, a part that is missing or does not fit the others, a
+    setting that does not exist, numbers that are not finite.
     """
     try:
         return _assemble(read_archive(path))
@@ -211,15 +211,15 @@ def _part(parts: Mapping[str, _Part], name: str) -> _Part:
     return parts[name]
 
 
-def _check(name: str, array: NDArray, dtype: DTypeLike, shape: tuple[int, ...]) -> None:
+def _check(name: str, array: NDArray[Any], dtype: DTypeLike, shape: tuple[int, ...]) -> None:
     if array.dtype != dtype or array.shape != shape:
         raise MapFileError(
             f'{name} is {array.dtype} of shape {array.shape}, not {np.dtype(dtype)} of {shape}'
         )
 
 
-def _check_finite(name: str, rows: NDArray) -> None:
-    """Raise `MapFileError` unless all of `rows` (M, ...) are finite."""
+def _check_finite(name: str, rows: NDArray[np.floating]) -> None:
+    """Check that all of `rows` (M, ...) are finite; raises `MapFileError`."""
     bad = np.count_nonzero(~np.isfinite(rows).all(axis=tuple(range(1, rows.ndim))))
     if bad:
         raise MapFileError(f'{name}: {bad} of {len(rows)} are not finite')

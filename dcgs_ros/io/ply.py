@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Gaussians as the PLY file that 3DGS viewers and trainers share."""
+"""Gaussians as PLY files, in the format that 3DGS viewers and trainers share."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ _CHUNK = 1 << 15  # vertices: a chunk and its planes stay in the cache
 
 
 class PlyError(DcgsError):
-    """A file is no PLY of Gaussians, or Gaussians cannot be written as one."""
+    """A file is not a PLY of Gaussians, or Gaussians cannot be written as one."""
 
 
 @dataclass(frozen=True)
 class _Header:
     vertices: int
-    vertex: np.dtype  # structured: every property, in the file's order
+    vertex: np.dtype[np.void]  # structured: all properties, in the file's order
 
 
 def write_ply(path: Path | str, splats: Splats) -> None:
     """Write float properties in the usual order, little-endian; the normals (nx ny nz) are zeros.
 
-    The file appears whole or not at all. Raises `PlyError` where it cannot be written, or says how
-    many Gaussians are not finite.
+    The file is written completely or not at all. Raises `PlyError` if it cannot be written, or if
+    Gaussians are not finite.
     """
     path = Path(path)
     try:
@@ -68,10 +68,10 @@ def write_ply(path: Path | str, splats: Splats) -> None:
 
 
 def read_ply(path: Path | str) -> Splats:
-    """Read the planes of `Splats`, in whatever order and among whatever other properties.
+    """Read the planes of `Splats`; properties may be in any order and among others.
 
-    Of spherical harmonics degree 0 is read and the rest (f_rest_*) passed over. Raises `PlyError`,
-    naming the file and what is wrong with it, before anything is allocated that it does not hold.
+    Of the spherical harmonics only degree 0 is read (not f_rest_*). Raises `PlyError` naming the
+    file and what is wrong with it; no more is allocated than the file holds.
     """
     try:
         with open(path, 'rb') as file:
@@ -83,7 +83,7 @@ def read_ply(path: Path | str) -> Splats:
 
 
 def _read_header(file: BinaryIO) -> _Header:
-    """Read up to the first vertex, where the file is left."""
+    """Read the header and leave the file at the first vertex."""
     head = file.read(_HEADER_LIMIT)
     if not re.match(rb'ply[ \t]*\r?\n', head):
         raise PlyError(f'no PLY: begins with {head[:12]!r}')
@@ -96,7 +96,7 @@ def _read_header(file: BinaryIO) -> _Header:
 
 
 def _parse(lines: list[str]) -> _Header:
-    """Understand the lines between `ply` and `end_header`."""
+    """Parse the lines between `ply` and `end_header`."""
     order, vertices, element = '', -1, ''
     properties: list[tuple[str, str]] = []  # name and scalar type
     for line in lines:
@@ -132,8 +132,8 @@ def _parse_count(text: str) -> int:
     return int(text)
 
 
-def _vertex(properties: list[tuple[str, str]], order: str) -> np.dtype:
-    """Lay out one vertex; raises `PlyError` unless it holds a Gaussian."""
+def _vertex(properties: list[tuple[str, str]], order: str) -> np.dtype[np.void]:
+    """Return the type of one vertex; raises `PlyError` unless it holds a Gaussian."""
     kinds = dict(properties)
     if len(kinds) < len(properties):
         names = [name for name, _ in properties]
@@ -149,7 +149,7 @@ def _vertex(properties: list[tuple[str, str]], order: str) -> np.dtype:
 
 
 def _read_planes(file: BinaryIO, header: _Header) -> NDArray[np.float32]:
-    """Read (14, N); raises `PlyError` where the file is too short or numbers are not finite."""
+    """Read planes (14, N); raises `PlyError` if the file is too short or values are not finite."""
     needed = header.vertices * header.vertex.itemsize
     there = os.fstat(file.fileno()).st_size - file.tell()
     if needed > there:
@@ -163,7 +163,7 @@ def _read_planes(file: BinaryIO, header: _Header) -> NDArray[np.float32]:
         chunk = np.fromfile(file, header.vertex, stop - start)
         if len(chunk) < stop - start:
             raise PlyError(f'ends after {start + len(chunk)} of {header.vertices} vertices')
-        with np.errstate(over='ignore'):  # doubles beyond float32 are found not finite below
+        with np.errstate(over='ignore'):  # doubles beyond float32 are reported as not finite below
             for plane, name in zip(planes, PLANES, strict=True):
                 plane[start:stop] = chunk[name]
     _check_finite(planes)

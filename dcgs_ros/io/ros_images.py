@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ROS's Image and CameraInfo as arrays, whoever decoded them: rclpy or a reader of bags.
+"""ROS's Image and CameraInfo as arrays, for messages decoded by rclpy or by a reader of bags.
 
-Only attributes are read, so nothing of ROS is needed. Every size is checked against the data at
-hand before anything is allocated.
+Only attributes are read, so ROS is not needed. Every size is checked against the data before
+anything is allocated.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from numpy.typing import NDArray
 from ..core.camera import PinholeCamera
 from ..core.errors import DcgsError
 
-_MAX_SIDE = 16384  # pixels: beyond, a header is broken rather than an image large
+_MAX_SIDE = 16384  # pixels: a larger image means a broken header
 _MAX_COEFFICIENTS = 8  # rational_polynomial's
 
 _COLOR_CHANNELS = {'rgb8': 3, 'bgr8': 3, 'mono8': 1}
 _DEPTH_TYPES = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 _LENS_MODELS = ('', 'plumb_bob', 'rational_polynomial')
 _MM_PER_M = 1000.0
-_MAX_M = np.float32(65.535)  # what 16 bits of millimetres hold
-_SPARSE = 16  # pixels
+_MAX_M = np.float32(65.535)  # the largest depth in 16 bits of millimetres
+_SPARSE = 16  # pixels, between those checked first
 
 
 class MessageError(DcgsError):
-    """A message that cannot be used."""
+    """A message cannot be used."""
 
 
 def stamp_ns(stamp: Any) -> int:
-    """Time of a header in integer nanoseconds."""
+    """Return the time of a header in integer nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def read_color(image: Any) -> NDArray[np.uint8]:
-    """Colour of an Image in rgb8, bgr8 or mono8: (H, W, 3) RGB or (H, W) grey, C-contiguous.
+    """Return colour of an Image in rgb8, bgr8 or mono8: (H, W, 3) RGB or (H, W), C-contiguous.
 
-    Without conversion or padding it is a view of the message's data. Raises `MessageError`.
+    If no conversion is needed, it is a view of the message's data. Raises `MessageError`.
     """
     channels = _COLOR_CHANNELS.get(image.encoding)
     if channels is None:
@@ -52,9 +52,9 @@ def read_color(image: Any) -> NDArray[np.uint8]:
 
 
 def read_depth(image: Any, per_metre: float = _MM_PER_M) -> NDArray[np.float32]:
-    """Depth (H, W) in metres of an Image in 16UC1 or mono16, or in 32FC1 (metres); 0 = none.
+    """Return depth (H, W) in metres, 0 = none, of an Image in 16UC1, mono16 or 32FC1 (metres).
 
-    `per_metre` is the value of 16 bits at one metre. What is not finite or negative is none, too.
+    `per_metre` is the value of 16 bits at one metre. Negative and non-finite values count as none.
     Raises `MessageError`.
     """
     kind = _DEPTH_TYPES.get(image.encoding)
@@ -67,45 +67,45 @@ def read_depth(image: Any, per_metre: float = _MM_PER_M) -> NDArray[np.float32]:
 
 
 def measured(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Set what is no distance (not finite, not positive) to 0, in place."""
+    """Set values that are not finite and positive to 0, in place."""
     depth_m[~((depth_m > 0) & (depth_m < np.inf))] = 0.0
     return depth_m
 
 
 def in_millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Depth (H, W) in metres as 16UC1 has it, rounded; beyond 65.535 m it is none: 0."""
+    """Convert depth (H, W) in metres to 16UC1, rounded; 0 for none and beyond 65.535 m."""
     usable = (depth_m > 0) & (depth_m <= _MAX_M)
     return np.rint(np.where(usable, depth_m, 0) * np.float32(_MM_PER_M)).astype(np.uint16)
 
 
 def exact_millimetres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16] | None:
-    """Depth (H, W) in metres as 16UC1 has it; None where that does not tell all of it."""
-    for part in (depth_m[::_SPARSE, ::_SPARSE], depth_m):  # a few pixels mostly tell
+    """Convert depth (H, W) in metres to 16UC1; None if that is not exact."""
+    for part in (depth_m[::_SPARSE, ::_SPARSE], depth_m):  # a few pixels first, for speed
         depth_mm = in_millimetres(part)
         if not np.array_equal(depth_mm / np.float32(_MM_PER_M), part):
             return None
     return depth_mm
 
 
-def exact_pixels(depth_m: NDArray[np.float32]) -> tuple[str, NDArray]:
-    """Depth (H, W) in metres as an Image holds all of it: the encoding and its pixels (H, W).
+def exact_pixels(depth_m: NDArray[np.float32]) -> tuple[str, NDArray[Any]]:
+    """Return an encoding that holds depth (H, W) in metres exactly, and its pixels (H, W).
 
-    That is 16UC1, as cameras send it, where millimetres tell all, else 32FC1.
+    That is 16UC1, as cameras send it, if all depths are whole millimetres, else 32FC1.
     """
     depth_mm = exact_millimetres(depth_m)
     return ('32FC1', in_metres(depth_m)) if depth_mm is None else ('16UC1', depth_mm.astype('<u2'))
 
 
 def in_metres(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Depth (H, W) in metres as 32FC1 has it, where none is NaN (REP 118)."""
+    """Convert depth (H, W) in metres to 32FC1, where none is NaN (REP 118)."""
     return np.where(depth_m > 0, depth_m, np.nan).astype('<f4')
 
 
 def read_camera(info: Any) -> PinholeCamera:
-    """Intrinsics and distortion of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
+    """Return the camera of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
 
-    A lens model of any name that distorts nothing is none. Raises `MessageError` for another lens
-    model, skew or an absurd size, and `CameraError` for numbers that are no camera.
+    If all coefficients are zero, the lens model may have any name. Raises `MessageError` for an
+    unknown lens model, skew or an implausible size, and `CameraError` for invalid intrinsics.
     """
     width, height = _size(info)
     matrix = info.k if hasattr(info, 'k') else info.K
@@ -129,17 +129,17 @@ def read_camera(info: Any) -> PinholeCamera:
 
 
 class CameraFields(NamedTuple):
-    """What a CameraInfo says of a camera besides its size; the matrices row by row."""
+    """The fields of a CameraInfo besides the size; matrices are row by row."""
 
     model: str
     D: NDArray[np.float64]
     K: NDArray[np.float64]  # (9,)
-    R: NDArray[np.float64]  # (9,) none
-    P: NDArray[np.float64]  # (12,) the camera's own, without rectification
+    R: NDArray[np.float64]  # (9,) the identity
+    P: NDArray[np.float64]  # (12,) K and zeros: there is no rectification
 
 
 def camera_fields(camera: PinholeCamera) -> CameraFields:
-    """Say it; ROS's plumb_bob has five numbers: fewer are filled up with zeros."""
+    """Return the fields for a camera; plumb_bob has five coefficients, filled up with zeros."""
     K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     P = np.hstack([K, np.zeros((3, 1))])
     rational = len(camera.distortion) > 5
@@ -149,20 +149,20 @@ def camera_fields(camera: PinholeCamera) -> CameraFields:
 
 
 def _unknown(what: str, encoding: object, known: dict[str, Any]) -> MessageError:
-    """Say which encodings there are."""
+    """Return the error for an unknown encoding."""
     return MessageError(f'{what} is {str(encoding)[:40]!r}, not one of {", ".join(known)}')
 
 
 def _size(message: Any) -> tuple[int, int]:
-    """Width and height, where they can be those of an image."""
+    """Return width and height; raises `MessageError` if these are not plausible."""
     width, height = int(message.width), int(message.height)
     if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
         raise MessageError(f'image of {width}x{height} pixels; a side has 1 to {_MAX_SIDE}')
     return width, height
 
 
-def _pixels(image: Any, kind: np.dtype, channels: int) -> NDArray:
-    """View an Image's data as (H, W) or (H, W, channels); rows may be padded."""
+def _pixels(image: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
+    """Return a view (H, W) or (H, W, channels) of an Image's data; rows may be padded."""
     width, height = _size(image)
     step, row = int(image.step), width * channels * kind.itemsize
     if step < row:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A map of a running tracker and mapper, as files keep it."""
+"""Taking a map from a running tracker and mapper, to be saved."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _ROWS, _COLUMNS = np.triu_indices(3)  # xx xy xz yy yz zz
 
 
 def saved_map(mapper: Mapper, tracker: Tracker | None) -> SavedMap:
-    """Take the map as it is, after a last pruning: nothing that is not finite is in it.
+    """Return the map after a last pruning, so that all of it is finite.
 
-    Where the tracker is another process, Sigma_t is what the hosts saw, and there are no
-    landmarks.
+    Without the tracker, which may be another process, Sigma_t is that of the host keyframes, and
+    there are no landmarks.
     """
     mapper.prune()
     table = mapper.table
@@ -46,10 +46,10 @@ def saved_map(mapper: Mapper, tracker: Tracker | None) -> SavedMap:
 
 
 def as_hosts_saw(mapper: Mapper) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Viewpoints (N, 3) and Sigma_t (N, 6) of the keyframes that Gaussians came with.
+    """Return viewpoints (N, 3) and Sigma_t (N, 6), metres, seen from the host keyframes.
 
-    NaN of the mapper's own, which nobody measured, and of what has no Sigma_t in float32: at the
-    viewpoint itself, or out of all bounds.
+    NaN for Gaussians that the mapper spawned, which were not measured, and for those whose Sigma_t
+    is not finite in float32: at the viewpoint itself, or too far away.
     """
     table, config = mapper.table, mapper.config
     rows = np.flatnonzero(table.ids >= 0)
@@ -72,7 +72,7 @@ def as_hosts_saw(mapper: Mapper) -> tuple[NDArray[np.float32], NDArray[np.float3
 def _as_tracked(
     ids: NDArray[np.int64], tracker: Tracker
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Viewpoints (N, 3) and Sigma_t (N, 6) by id; NaN of what the tracker does not have."""
+    """Return viewpoints (N, 3) and Sigma_t (N, 6) by id; NaN for those the tracker has not."""
     gaussians, config = tracker.gaussians, tracker.config
     order = np.argsort(gaussians.ids)
     rows = np.flatnonzero(gaussians.alive(ids))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Trajectories as text: one `stamp tx ty tz qx qy qz qw` a line, the format of TUM's benchmark."""
+"""Trajectory files in TUM's format: one `stamp tx ty tz qx qy qz qw` per line."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 from .whole_files import replacing
 
-# Four decimals, as TUM prints quaternions, leave the norm right to 1e-4; a hundred times that is
-# no rounding any more but another quantity in these columns.
+# TUM's four decimals leave the norm right to 1e-4. An error a hundred times larger is no rounding:
+# these columns hold another quantity.
 QUATERNION_NORM_TOLERANCE = 1e-2
 
 _STAMP_LIMIT_NS = 2**62  # 146 years: the difference of two stamps still fits 64 bits
@@ -27,7 +27,7 @@ class TrajectoryFileError(DcgsError):
 
 
 def parse_stamp_ns(text: str) -> int:
-    """Seconds as decimal text to integer nanoseconds, without passing through a float.
+    """Parse seconds as decimal text to integer nanoseconds, without rounding to a float.
 
     Raises `ValueError` for anything but a finite number within 146 years of zero.
     """
@@ -44,7 +44,7 @@ def parse_stamp_ns(text: str) -> int:
 
 
 def format_stamp_ns(stamp_ns: int) -> str:
-    """Write integer nanoseconds as seconds with nine decimals, exactly."""
+    """Return integer nanoseconds as seconds with nine decimals, exactly."""
     seconds, fraction = divmod(abs(int(stamp_ns)), 1_000_000_000)
     return f'{"-" if stamp_ns < 0 else ""}{seconds}.{fraction:09d}'
 
@@ -52,8 +52,8 @@ def format_stamp_ns(stamp_ns: int) -> str:
 def read_tum(path: Path | str) -> Trajectory:
     """Read a trajectory; quaternions are normalised, comments (#) and empty lines skipped.
 
-    Raises `TrajectoryFileError` naming the file, and the line where one is wrong: not eight finite
-    numbers, a quaternion off unit length, stamps that do not increase, or no pose at all.
+    Raises `TrajectoryFileError` naming the file and the line that is wrong: not eight finite
+    numbers, a quaternion not of unit length, stamps that do not increase; or if there is no pose.
     """
     path = Path(path)
     stamps: list[int] = []
@@ -82,13 +82,13 @@ def read_tum(path: Path | str) -> Trajectory:
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     """Write a trajectory: stamps to the nanosecond, metres and quaternions to nine decimals.
 
-    The file appears whole or not at all. Raises `TrajectoryFileError` where it cannot be written.
+    The file is written completely or not at all. Raises `TrajectoryFileError` if it cannot be.
     """
     path = Path(path)
     lines = ['# timestamp tx ty tz qx qy qz qw\n']
     if len(trajectory):
         rotations = Rotation.from_matrix(trajectory.T_world_cam[:, :3, :3])
-        # Canonical (w >= 0): q and -q are one rotation and should be one text.
+        # Canonical (w >= 0), as q and -q are the same rotation and should be the same text.
         quaternions = rotations.as_quat(canonical=True)
         rows = np.hstack([trajectory.T_world_cam[:, :3, 3], quaternions])
         rows = np.round(rows, 9) + 0.0  # + 0.0: no '-0.000000000'
@@ -104,7 +104,7 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
 
 
 def _data_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line number and text of every line that is neither empty nor a comment."""
+    """Return number and text of each line that is neither empty nor a comment."""
     try:
         text = path.read_text(encoding='utf-8', errors='replace')
     except OSError as error:
@@ -115,7 +115,7 @@ def _data_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _parse_pose(line: str) -> tuple[int, list[float]]:
-    """Stamp and seven numbers of one line; raises `ValueError` saying what is wrong with them."""
+    """Return stamp and seven numbers of one line; raises `ValueError` with what is wrong."""
     words = line.split()
     if len(words) != 8:
         raise ValueError(f'{len(words)} columns, not 8 (stamp tx ty tz qx qy qz qw)')

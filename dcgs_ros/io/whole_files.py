@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Files and folders that appear whole or not at all."""
+"""Writing files and folders completely or not at all."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class StagingError(DcgsError):
 
 @contextmanager
 def staged_folder(path: Path) -> Iterator[Path]:
-    """Give the name of a folder to create, which takes the place of `path` in the end.
+    """Provide the name of a temporary folder to create, which is moved to `path` at the end.
 
-    `path` does not exist or is an empty folder. The name's last part is that of `path`: recordings
-    name their files after it. Where anything fails nothing is left behind; an `OSError` becomes a
-    `StagingError`.
+    `path` must not exist or be an empty folder. The temporary folder has the same name, as
+    recordings name their files after it. On any error the temporary folder is removed; an
+    `OSError` is raised as `StagingError`.
     """
     target = Path(os.path.realpath(path))
     temporary = target.with_name(f'.{target.name}.{os.getpid()}.tmp')
@@ -41,9 +41,9 @@ def staged_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a name beside `path` to write to; the file then takes its place.
+    """Provide a temporary name beside `path` to write to; the file then replaces `path`.
 
-    Where anything fails, nothing is left behind and `path` is as it was.
+    On any error the temporary file is removed, and `path` is unchanged.
     """
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:

@@ -21,7 +21,7 @@ from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.keyframe import MapUpdate
-from ..core.tracking.tracker import TrackingState
+from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
 from .health import LOADING
 from .lifetime import Worker, run

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the tests of the command line share."""
+"""Fixtures of the command line's tests."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dcgs_ros.evaluation import scoring
 
 @pytest.fixture(scope='module')
 def small_images() -> Iterator[None]:
-    """Have synthetic sources make images of a sixteenth of the pixels; nobody computes LPIPS."""
+    """Let synthetic sources render a sixteenth of the pixels, and leave LPIPS out."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SyntheticSource, 'camera', SMALL_CAMERA)
         patch.setattr(scoring.Lpips, 'load', lambda: None)
@@ -24,5 +24,5 @@ def small_images() -> Iterator[None]:
 
 @pytest.fixture(scope='module')
 def mapped(small_images: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Map a few small images, once."""
+    """Map a few small images, once per module."""
     return run_into(tmp_path_factory.mktemp('runs') / 'mapped', *SMALL_ROOM)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs run` inside the test's process, and what came of it."""
+"""Runs `dcgs run` in the test's process and returns its results."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAPS = {'map.ply', 'map.dcgs', 'views.png'}
 SMALL_CAMERA = PinholeCamera(160, 120, 131.25, 131.25, 79.5, 59.5)
 SMALL_FRAMES = 10
 SMALL_ADDRESS = f'synthetic:room?frames={SMALL_FRAMES}'
-# Dense enough a sampling for small images; a view every third frame, few steps.
+# Sampling dense enough for small images, a view every third frame, few steps.
 SMALL_ROOM = (
     SMALL_ADDRESS, '--render-every', '2', '--set', 'cloud.stride_px=4',
     'keyframes.spawn_stride_px=3', 'mapping.view_interval=3', 'mapping.steps_per_frame=2',
@@ -33,7 +33,7 @@ SMALL_ROOM = (
 
 @dataclass(frozen=True)
 class Run:
-    """What came of `dcgs run`."""
+    """Exit status, output and folder of `dcgs run`."""
 
     folder: Path
     status: int

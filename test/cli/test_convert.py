@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A converted sequence is its original, and appears whole or not at all."""
+"""A converted sequence equals its original, and is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from running import run_into  # type: ignore[import-not-found]
 
+from dcgs_ros.cli.arguments import OutputFormat
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag.source import BagSource
-from dcgs_ros.datasets.described import open_described
+from dcgs_ros.datasets.bag.writing.storage import STORAGES
+from dcgs_ros.datasets.custom import open_custom
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.tum.source import open_tum
 
@@ -58,7 +61,7 @@ def test_tum_to_bags_to_tum_gives_the_original(tum_folder: Writer, tmp_path: Pat
     assert (tmp_path / 'b.db3' / 'b.db3.db3').exists()
     assert same(original, BagSource(tmp_path / 'b.db3'))
     assert convert(tmp_path / 'b.db3', tmp_path / 'c', '--format', 'tum') == 0
-    assert same(original, open_described(tmp_path / 'c'))
+    assert same(original, open_custom(tmp_path / 'c'))
     assert original.groundtruth is not None
     back = open_tum(tmp_path / 'c', SMALL).groundtruth
     assert back is not None
@@ -70,7 +73,7 @@ def test_real_depth_survives_bit_for_bit(data_dir: Path, tmp_path: Path) -> None
     assert convert(folder, tmp_path / 'a', '--camera', 'fr3', *few) == 0
     assert convert(tmp_path / 'a', tmp_path / 'b', '--format', 'tum') == 0
     original = list(zip(range(4), open_tum(folder, 'fr3'), strict=False))
-    back = open_described(tmp_path / 'b')
+    back = open_custom(tmp_path / 'b')
     for (_, a), b in zip(original, back, strict=True):
         assert isinstance(a, RgbdFrame) and isinstance(b, RgbdFrame)
         assert (a.stamp_ns, a.depth_stamp_ns) == (b.stamp_ns, b.depth_stamp_ns)
@@ -91,12 +94,15 @@ def test_the_summary_names_what_was_skipped_and_lost(
     assert len(BagSource(tmp_path / 'a')) == 3
 
 
-def test_what_makes_no_sense_is_refused_before_anything_is_read(
+def test_the_formats_are_those_of_the_writers() -> None:
+    assert get_args(OutputFormat) == (*STORAGES, 'tum')
+
+
+def test_wrong_arguments_are_refused_before_anything_is_read(
     tum_folder: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, dest = tum_folder(), tmp_path / 'dest'
     for words, reason in (
-        (('--format', 'tar'), 'one of mcap, sqlite3, tum'),
         (('--format', 'tum', '--zstd'), 'are for a rosbag2'),
         (('--max-frames', '0'), 'at least one'),
     ):
@@ -121,7 +127,7 @@ def test_without_a_usable_frame_nothing_is_left(
 
 
 def start(source: str, dest: Path, *words: str, limit: int | None = None) -> subprocess.Popen[str]:
-    """Convert in a process of its own, whose files may have `limit` bytes."""
+    """Convert in a subprocess whose files may have at most `limit` bytes."""
     code = 'import sys, resource; from dcgs_ros.cli.main import main\n'
     if limit is not None:
         code += f'resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n'

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs evaluate` finds in a run's folder what the run found."""
+"""`dcgs evaluate` gives the scores that the run reported."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from dcgs_ros.evaluation.contact_sheet import MAX_ROWS
 from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.io.trajectory import read_tum, write_tum
 
-PRINTED = 1e-4  # dB and shares: what nine decimals of a pose leave
+PRINTED = 1e-4  # dB and shares: effect of rounding poses to nine decimals
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images of `tum_folder`
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
@@ -37,7 +37,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
 
 @pytest.fixture
 def copy(mapped: Run, tmp_path: Path) -> Path:
-    """Copy the run's folder, to be spoilt."""
+    """Copy the run's folder, for tests that damage it."""
     shutil.copytree(mapped.folder, tmp_path / 'copy')
     return tmp_path / 'copy'
 
@@ -95,7 +95,7 @@ def test_a_run_that_only_tracked_has_an_ate(
     assert found['poses'] == 5
 
 
-def test_the_source_may_be_told_and_the_truth_too(
+def test_source_and_ground_truth_may_be_given(
     copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (copy / 'report.json').unlink()
@@ -120,15 +120,15 @@ def test_the_camera_of_the_run_is_remembered(
 @pytest.mark.parametrize(
     ('name', 'content', 'reason'),
     [
-        ('report.json', b'{"address": ', 'report.json is no report'),
-        ('report.json', b'[1, 2]', 'report.json is no report'),
+        ('report.json', b'{"address": ', 'report.json is not a report'),
+        ('report.json', b'[1, 2]', 'report.json is not a report'),
         ('report.json', b'{"address": 7}', 'give --source'),
         ('map.dcgs', b'', 'no archive'),
         ('map.dcgs', b'PK\x03\x04' + bytes(100), 'map.dcgs'),
         ('trajectory.tum', b'# nothing\n', 'holds no pose'),
     ],
 )
-def test_spoilt_files_are_named_in_one_line(
+def test_damaged_files_are_named_in_one_line(
     copy: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes, reason: str
 ) -> None:
     (copy / name).write_bytes(content)
@@ -149,7 +149,7 @@ def test_a_truncated_map_is_refused_wherever_it_ends(
         assert str(copy / 'map.dcgs') in capsys.readouterr().err
 
 
-def test_what_does_not_belong_together_is_refused(
+def test_files_that_do_not_fit_together_are_refused(
     mapped: Run,
     copy: Path,
     tum_folder: Callable[..., Path],
@@ -186,9 +186,11 @@ def test_the_sheet_shows_held_out_frames_evenly_over_the_sequence() -> None:
     stamps_ns = np.arange(100, dtype=np.int64)
     trajectory = Trajectory(stamps_ns, np.tile(np.eye(4), (100, 1, 1)))
     keyframes = set(range(0, 100, 6))
-    chosen = sorted(scoring._held_out(trajectory, keyframes))
+    chosen = sorted(scoring._for_contact_sheet(trajectory, keyframes))
     assert len(chosen) == MAX_ROWS
     assert not keyframes & set(chosen)
     evenly = (np.arange(MAX_ROWS) + 0.5) * 100 / MAX_ROWS
     assert np.abs(np.array(chosen) - evenly).max() <= 2
-    assert len(scoring._held_out(trajectory, set(range(100)))) == MAX_ROWS  # for want of others
+    assert (
+        len(scoring._for_contact_sheet(trajectory, set(range(100)))) == MAX_ROWS
+    )  # there are no others

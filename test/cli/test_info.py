@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs info` says what was written."""
+"""`dcgs info` describes the files that were written."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_synthetic_sequence_and_one_without_anything_usable(
     assert 'depth' not in lines
 
 
-def test_of_a_recording_it_is_said_what_was_chosen(
+def test_a_recording_is_described_with_its_chosen_topics(
     tum_folder: Writer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip('rosbags')

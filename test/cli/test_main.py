@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The command line: what it refuses, in one line each, and how quickly it is there."""
+"""The command line: errors are one line and status 2, and it starts quickly."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
 
 from dcgs_ros import __version__
-from dcgs_ros.cli.main import main
-from dcgs_ros.core.config.schema import flatten
+from dcgs_ros.cli.arguments import OutputFormat
+from dcgs_ros.cli.main import VERBS, main
+from dcgs_ros.core.config.presets import QUALITIES, Ablation, Quality
+from dcgs_ros.core.config.schema import flatten, settings
 from dcgs_ros.core.config.stages import Config
 
 Writer = Callable[..., Path]
@@ -29,7 +32,7 @@ Refusal = Callable[..., str]
 
 @pytest.fixture
 def refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Refusal:
-    """Return the one line that a command is refused with; nothing is left behind."""
+    """Return the one line that a command fails with, checking that it writes nothing."""
 
     def refuse(*words: str) -> str:
         out = tmp_path / 'out'
@@ -54,8 +57,6 @@ def refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Refusal:
     [
         (['--max-frames', '0'], '--max-frames 0'),
         (['--max-frames', '-3'], '--max-frames -3'),
-        (['--ablation', 'best'], "'best'"),
-        (['--quality', 'best'], '--quality best: one of draft, default, high'),
         (['--render-every', '-1'], '--render-every -1'),
         (['--set', 'sensor.a_m'], '--set sensor.a_m: expected stage.field=value'),
         (['--set', 'sensor.a_m=wide'], "'wide'"),
@@ -66,7 +67,7 @@ def refusal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Refusal:
         (['--groundtruth', 'truth.tum'], 'brings its own camera'),
     ],
 )
-def test_arguments_that_make_no_sense(refusal: Refusal, words: list[str], reason: str) -> None:
+def test_wrong_arguments(refusal: Refusal, words: list[str], reason: str) -> None:
     assert reason in refusal('run', PLANE, *words)
 
 
@@ -76,7 +77,7 @@ def test_an_unknown_setting_is_answered_with_the_valid_ones(refusal: Refusal) ->
 
 
 @pytest.mark.parametrize('verb', ['run', 'info'])
-def test_what_is_no_sequence(refusal: Refusal, tmp_path: Path, verb: str) -> None:
+def test_paths_that_are_not_a_sequence(refusal: Refusal, tmp_path: Path, verb: str) -> None:
     file = tmp_path / 'file.txt'
     file.write_text('x')
     (tmp_path / 'empty').mkdir()
@@ -121,7 +122,7 @@ def test_a_folder_in_use_is_refused_before_any_work(refusal: Refusal, tmp_path: 
     used = tmp_path / 'used'
     used.mkdir()
     (used / 'notes.txt').write_text('mine')
-    # The source does not exist either: the folder is looked at first.
+    # The source does not exist either: the folder is checked first.
     assert 'not empty' in refusal('run', 'nowhere', '--out', str(used))
     assert [path.name for path in used.iterdir()] == ['notes.txt']
     assert 'is a file' in refusal('run', 'nowhere', '--out', str(used / 'notes.txt'))
@@ -147,11 +148,36 @@ def test_evaluate_names_the_file_that_is_wrong(refusal: Refusal, tmp_path: Path)
 @pytest.mark.parametrize(
     'words', [[], ['run'], ['fly', 'x'], ['run', 'x', '--fast'], ['render', 'x'], ['info']]
 )
-def test_unknown_words_end_with_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_words_exit_with_two(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(words)
     assert caught.value.code == 2
     assert capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('words', 'choices'),
+    [
+        (['run', 'x', '--ablation', 'best'], get_args(Ablation)),
+        (['run', 'x', '--quality', 'best'], get_args(Quality)),
+        (['convert', 'x', 'y', '--format', 'tar'], get_args(OutputFormat)),
+    ],
+)
+def test_a_wrong_choice_exits_with_two_and_names_the_others(
+    words: list[str], choices: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    err = capsys.readouterr().err
+    assert words[-1] in err and words[-2] in err
+    assert all(choice in err for choice in choices)
+
+
+def test_the_choices_are_those_of_the_configuration() -> None:
+    ablation = next(s for s in settings(Config()) if s.key == 'ablation')
+    assert ablation.choices == get_args(Ablation)
+    assert tuple(QUALITIES) == get_args(Quality)
 
 
 def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
@@ -159,12 +185,14 @@ def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None
     assert capsys.readouterr().out == f'dcgs {__version__}\n'
 
 
-@pytest.mark.parametrize('verb', ['run', 'evaluate', 'render', 'info'])
+@pytest.mark.parametrize('verb', VERBS)
 def test_every_verb_has_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main([verb, '--help'])
     assert not caught.value.code
-    assert '--help' in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert '--help' in out
+    assert 'default: None' not in out
 
 
 def loaded_after(code: str) -> set[str]:
@@ -175,9 +203,9 @@ def loaded_after(code: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_help_waits_for_nothing_and_a_run_not_for_the_plot() -> None:
+def test_help_imports_nothing_heavy_and_a_run_no_matplotlib() -> None:
     light = loaded_after('import dcgs_ros.cli.main')
-    assert not light & {'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
+    assert not light & {'numpy', 'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
     running = loaded_after('import dcgs_ros.cli.run')
     assert 'numba' in running
     assert not running & {'matplotlib', 'torch'}

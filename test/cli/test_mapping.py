@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A run that maps: its files agree with each other, and none is lost however it ends."""
+"""A run that maps: its files agree, and are written even if a part fails or is interrupted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.tracking.tracker import Tracker
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.io.map_archive import SavedMap, read_map
@@ -54,7 +54,7 @@ def saved(mapped: Run) -> SavedMap:
     return read_map(mapped.folder / 'map.dcgs')
 
 
-def test_a_run_maps_unless_told_otherwise(mapped: Run) -> None:
+def test_a_run_maps_by_default(mapped: Run) -> None:
     assert mapped.status == 0, mapped.err
     assert mapped.files() == TRACKS | MAPS
     assert mapped.report()['lost'] == 0
@@ -73,8 +73,8 @@ def test_the_report_holds_mapping_and_rendering(mapped: Run) -> None:
     assert min(groups) > 0
 
 
-def test_the_mapper_took_the_steps_it_was_told(mapped: Run) -> None:
-    # It begins with the second frame; then two steps a frame and twelve at the end.
+def test_the_mapper_took_the_configured_steps(mapped: Run) -> None:
+    # From the second frame on two steps a frame, and twelve at the end.
     assert mapped.report()['mapping']['iterations'] == 2 * (SMALL_FRAMES - 1) + 12
 
 
@@ -155,7 +155,7 @@ def test_full_images_and_any_number_of_threads_give_the_same_map(
             assert (folder / name).read_bytes() == (folders[0] / name).read_bytes()
 
 
-def test_without_rendering_there_is_no_second_look_at_the_source(tmp_path: Path) -> None:
+def test_without_rendering_the_source_is_not_read_again(tmp_path: Path) -> None:
     done = run_into(tmp_path / 'run', *SMALL_ROOM, '--render-every', '0')
     assert done.files() == TRACKS | MAPS - {'views.png'}
     assert done.report()['rendering'] is None
@@ -195,7 +195,7 @@ def test_one_frame_makes_a_map(tmp_path: Path) -> None:
     assert (rendering['keyframes']['views'], rendering['others']['views']) == (1, 0)
 
 
-def test_frames_that_all_are_lost_make_none(tmp_path: Path) -> None:
+def test_if_all_frames_are_lost_there_is_no_map(tmp_path: Path) -> None:
     done = run_into(tmp_path / 'run', *SMALL_ROOM, 'registration.min_pairs=100000')
     assert done.status == 0, done.err
     assert done.report()['lost'] == SMALL_FRAMES
@@ -204,7 +204,7 @@ def test_frames_that_all_are_lost_make_none(tmp_path: Path) -> None:
 
 
 def interrupting(method: Callable[..., Any], call: int) -> Callable[..., Any]:
-    """Have the user press Ctrl-C in the `call`-th call of a method."""
+    """Return the method, sending SIGINT in its `call`-th call."""
     calls = 0
 
     def counted(*arguments: Any, **keywords: Any) -> Any:
@@ -250,11 +250,11 @@ def test_ctrl_c_while_tracking_skips_the_refinement_and_writes_everything(
 
 
 class BrokenError(Exception):
-    """No `DcgsError`: a bug."""
+    """An unexpected error: not a `DcgsError`."""
 
 
 @pytest.mark.parametrize('online', [False, True])
-def test_a_mapper_that_fails_costs_no_pose(
+def test_no_pose_is_lost_when_the_mapper_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, online: bool
 ) -> None:
     insert = Mapper.insert
@@ -266,7 +266,7 @@ def test_a_mapper_that_fails_costs_no_pose(
 
     monkeypatch.setattr(Mapper, 'insert', third)
     with pytest.raises(BrokenError):
-        # Every second frame is a view: enough of them arrive, however many a busy machine drops.
+        # Every second frame is a view, so that enough arrive even if a busy machine drops some.
         words = [*SMALL_ROOM, '--set', 'mapping.view_interval=2']
         run_into(tmp_path / 'run', *words, *['--online'] * online)
     done = Run(tmp_path / 'run', 1, '', '')
@@ -287,7 +287,7 @@ def test_a_mapper_that_fails_costs_no_pose(
         ('write_contact_sheet', {'views.png'}),
     ],
 )
-def test_a_part_that_fails_costs_no_other_file(
+def test_no_other_file_is_lost_when_a_part_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, missing: set[str]
 ) -> None:
     def full(*_: Any) -> None:
@@ -346,7 +346,7 @@ def test_frames_that_come_while_the_tracker_is_busy_are_dropped_and_counted(
     assert f'{report["dropped"]} dropped' in done.out
 
 
-def test_a_frame_that_a_mapper_refuses_is_the_mappers_failure(
+def test_a_frame_error_of_the_mapper_fails_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     insert = Mapper.insert

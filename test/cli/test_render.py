@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs render` writes what the mapper's renderer shows, and nothing over anything."""
+"""`dcgs render` writes what the renderer shows, and overwrites nothing."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from dcgs_ros.io.ply import write_ply
 from dcgs_ros.io.trajectory import read_tum, write_tum
 
 CAMERA = ('--camera', '131.25,131.25,79.5,59.5', '--size', '160x120')
-LEVEL = 1  # of 255: a pose's nine decimals may turn a half
+LEVEL = 1  # of 255: poses are rounded to nine decimals
 MILLIMETRE = 1
-FILM_LEVELS = 12  # mean error that a video codec may make
+VIDEO_LEVELS = 12  # largest mean error of a video codec
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
 
@@ -45,18 +45,18 @@ def words_of(mapped: Run, out: Path, name: str = 'map.dcgs') -> list[str]:
 
 
 def rendered(
-    saved: SavedMap, T_world_cam: NDArray, camera: PinholeCamera | None = None
+    saved: SavedMap, T_world_cam: NDArray[np.float64], camera: PinholeCamera | None = None
 ) -> Rendering:
     view = View.of(camera or saved.camera, T_world_cam)
     return CpuRenderer(Workers(1)).render(saved.splats.planes, view)
 
 
-def bgr_of(rendering: Rendering) -> NDArray:
+def bgr_of(rendering: Rendering) -> NDArray[np.uint8]:
     rgb = np.rint(255 * np.clip(rendering.color, 0, 1)).astype(np.uint8)
     return np.moveaxis(rgb, 0, -1)[..., ::-1]
 
 
-def difference(image: NDArray, other: NDArray) -> int:
+def difference(image: NDArray[np.uint8], other: NDArray[np.uint8]) -> int:
     return int(np.abs(image.astype(int) - other.astype(int)).max())
 
 
@@ -74,7 +74,7 @@ def test_every_pose_gives_an_image_and_keyframes_look_as_the_mapper_has_them(
         assert difference(image, bgr_of(rendered(saved, keyframe.T_world_cam))) <= LEVEL
 
 
-def test_poses_of_another_time_are_taken_as_they_are(
+def test_poses_beyond_the_keyframes_are_not_corrected(
     mapped: Run, saved: SavedMap, tmp_path: Path
 ) -> None:
     keyframe = saved.keyframes[-1]
@@ -114,15 +114,15 @@ def test_depth_is_in_millimetres_where_something_is_seen(
 def test_a_video_has_the_frames_at_the_trajectorys_rate(
     mapped: Run, saved: SavedMap, tmp_path: Path, suffix: str
 ) -> None:
-    path = tmp_path / 'new' / f'film{suffix}'
+    path = tmp_path / 'new' / f'video{suffix}'
     assert main(words_of(mapped, path)) == 0
-    film = cv2.VideoCapture(str(path))
-    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == SMALL_FRAMES
-    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(30, abs=0.1)
-    _, image = film.read()
+    video = cv2.VideoCapture(str(path))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == SMALL_FRAMES
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(30, abs=0.1)
+    _, image = video.read()
     expected = bgr_of(rendered(saved, saved.keyframes[0].T_world_cam))
-    assert np.abs(image.astype(int) - expected.astype(int)).mean() < FILM_LEVELS
-    film.release()
+    assert np.abs(image.astype(int) - expected.astype(int)).mean() < VIDEO_LEVELS
+    video.release()
 
 
 def test_without_a_name_it_goes_to_a_new_numbered_folder(
@@ -146,7 +146,7 @@ def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_nothing_is_overwritten(
     mapped: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ('film.mp4', 'file'):
+    for name in ('video.mp4', 'file'):
         (tmp_path / name).write_text('mine')
         assert str(tmp_path / name) in refusal(words_of(mapped, tmp_path / name), capsys)
         assert (tmp_path / name).read_text() == 'mine'
@@ -169,10 +169,10 @@ def test_nothing_is_overwritten(
         ('nothing.ply', [*CAMERA], 'nothing.ply: cannot be read'),
         ('report.json', [], 'report.json'),
         ('map.dcgs', ['--trajectory', 'no.tum'], 'no.tum: cannot be read'),
-        ('map.dcgs', ['--out', 'film.mp4', '--depth'], '--depth needs a folder'),
+        ('map.dcgs', ['--out', 'video.mp4', '--depth'], '--depth needs a folder'),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_one_line(
+def test_wrong_arguments_are_refused_in_one_line(
     mapped: Run,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -184,22 +184,22 @@ def test_what_makes_no_sense_is_refused_in_one_line(
     assert not (tmp_path / 'out').exists()
 
 
-def test_maps_that_are_empty_or_spoilt_are_refused_in_one_line(
+def test_empty_or_damaged_maps_are_refused_in_one_line(
     mapped: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     trajectory = ['--trajectory', str(mapped.folder / 'trajectory.tum')]
     whole = {name: (mapped.folder / name).read_bytes() for name in ('map.ply', 'map.dcgs')}
     write_ply(tmp_path / 'empty.ply', Splats(np.empty((len(PLANES), 0), np.float32)))
-    spoilt = {
+    damaged = {
         'half.ply': whole['map.ply'][: len(whole['map.ply']) // 2],
         'many.ply': whole['map.ply'].replace(b'vertex ', b'vertex 99999999999', 1),
         'half.dcgs': whole['map.dcgs'][: len(whole['map.dcgs']) // 2],
         'noise.dcgs': np.random.default_rng(0).bytes(10_000),
         'none.dcgs': b'',
     }
-    for name, data in spoilt.items():
+    for name, data in damaged.items():
         (tmp_path / name).write_bytes(data)
-    for name in (*spoilt, 'empty.ply'):
+    for name in (*damaged, 'empty.ply'):
         camera = CAMERA if name.endswith('.ply') else ()
         words = ['render', str(tmp_path / name), *trajectory, *camera]
         line = refusal([*words, '--out', str(tmp_path / 'out')], capsys)
@@ -210,14 +210,14 @@ def test_maps_that_are_empty_or_spoilt_are_refused_in_one_line(
 @pytest.mark.parametrize(
     ('changes', 'reason'),
     [
-        ({'T_world_cam': np.zeros((4, 4))}, 'T_world_cam of keyframe 1 is no pose'),
-        ({'T_world_cam': np.full((4, 4), 1e300)}, 'T_world_cam of keyframe 1 is no pose'),
-        ({'T_tracked': np.diag([1.0, 1.0, -1.0, 1.0])}, 'T_tracked of keyframe 1 is no pose'),
-        ({'T_tracked': np.diag([1.0, 1.0, 1.0, 2.0])}, 'T_tracked of keyframe 1 is no pose'),
+        ({'T_world_cam': np.zeros((4, 4))}, 'T_world_cam of keyframe 1 is not a pose'),
+        ({'T_world_cam': np.full((4, 4), 1e300)}, 'T_world_cam of keyframe 1 is not a pose'),
+        ({'T_tracked': np.diag([1.0, 1.0, -1.0, 1.0])}, 'T_tracked of keyframe 1 is not a pose'),
+        ({'T_tracked': np.diag([1.0, 1.0, 1.0, 2.0])}, 'T_tracked of keyframe 1 is not a pose'),
         ({'stamp_ns': 0}, 'stamps of the keyframes do not increase'),
     ],
 )
-def test_keyframes_that_no_mapper_made_are_refused(
+def test_invalid_keyframes_are_refused(
     mapped: Run,
     saved: SavedMap,
     tmp_path: Path,

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -45,7 +47,7 @@ def points_in_view(camera: PinholeCamera, seed: int) -> NDArray[np.float64]:
     return np.column_stack([rays, np.ones(500)]) * rng.uniform(0.3, 5.0, (500, 1))
 
 
-def opencv_pixels(camera: PinholeCamera, points: NDArray) -> NDArray:
+def opencv_pixels(camera: PinholeCamera, points: NDArray[np.floating]) -> NDArray[np.float64]:
     K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     distortion = np.array(camera.distortion or (0.0, 0.0, 0.0, 0.0))
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, distortion)
@@ -64,7 +66,7 @@ def test_undistort_undoes_opencv(camera: PinholeCamera) -> None:
 
 
 def test_project_undoes_undistort(camera: PinholeCamera) -> None:
-    u, v = np.meshgrid(np.arange(0, camera.width, 7), np.arange(0, camera.height, 5))
+    u, v = np.meshgrid(np.arange(0.0, camera.width, 7), np.arange(0.0, camera.height, 5))
     pixels = np.stack([u, v], axis=-1).reshape(-1, 2)
     rays = camera.undistort(pixels)
     lifted = 2.5 * np.column_stack([rays, np.ones(len(rays))])
@@ -121,6 +123,6 @@ def test_no_points_give_no_pixels(camera: PinholeCamera) -> None:
         ((640, 480, 500.0, 500.0, 320.0, 240.0, (0.1, np.nan, 0.0, 0.0)), 'nan'),
     ],
 )
-def test_unusable_intrinsics_are_refused(arguments: tuple, named: str) -> None:
+def test_unusable_intrinsics_are_refused(arguments: tuple[Any, ...], named: str) -> None:
     with pytest.raises(CameraError, match=named):
         PinholeCamera(*arguments)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -12,11 +14,11 @@ from dcgs_ros.core.errors import DcgsError, FrameError
 from dcgs_ros.core.frame import RgbdFrame
 
 
-def color(*shape: int, dtype: type = np.uint8) -> NDArray:
+def color(*shape: int, dtype: type = np.uint8) -> NDArray[Any]:
     return np.zeros(shape, dtype)
 
 
-def depth(*shape: int, dtype: type = np.float32) -> NDArray:
+def depth(*shape: int, dtype: type = np.float32) -> NDArray[Any]:
     return np.ones(shape, dtype)
 
 
@@ -52,7 +54,9 @@ def test_one_measurement_is_enough() -> None:
         (color(0, 0), depth(0, 0), 'zero'),
     ],
 )
-def test_what_is_no_frame_is_refused(image: NDArray, depth_m: NDArray, named: str) -> None:
+def test_what_is_no_frame_is_refused(
+    image: NDArray[Any], depth_m: NDArray[Any], named: str
+) -> None:
     with pytest.raises(FrameError, match=named):
         RgbdFrame(0, 0, image, depth_m)
 

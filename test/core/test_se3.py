@@ -39,13 +39,13 @@ angles = st.one_of(
 
 
 @st.composite
-def twists(draw: st.DrawFn) -> NDArray:
+def twists(draw: st.DrawFn) -> NDArray[np.float64]:
     """Translation of metres, rotation of up to pi about any axis."""
     axis = draw(vectors.filter(lambda v: np.linalg.norm(v) > 0.1))
     return np.concatenate([draw(vectors), draw(angles) * axis / np.linalg.norm(axis)])
 
 
-def matrix_of(xi: NDArray) -> NDArray:
+def matrix_of(xi: NDArray[np.floating]) -> NDArray[np.float64]:
     """Element of the Lie algebra (4, 4)."""
     generator = np.zeros((4, 4))
     generator[:3, :3] = se3.hat(xi[3:])
@@ -53,19 +53,19 @@ def matrix_of(xi: NDArray) -> NDArray:
     return generator
 
 
-def twist_of_angle(angle: float, seed: int) -> NDArray:
+def twist_of_angle(angle: float, seed: int) -> NDArray[np.float64]:
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
     return np.concatenate([rng.normal(size=3), angle * axis / np.linalg.norm(axis)])
 
 
 @given(vectors, vectors)
-def test_hat_is_the_cross_product(v: NDArray, w: NDArray) -> None:
+def test_hat_is_the_cross_product(v: NDArray[np.floating], w: NDArray[np.floating]) -> None:
     np.testing.assert_allclose(se3.hat(v) @ w, np.cross(v, w), atol=EXACT)
 
 
 @given(twists())
-def test_exp_is_a_rigid_motion(xi: NDArray) -> None:
+def test_exp_is_a_rigid_motion(xi: NDArray[np.floating]) -> None:
     T = se3.exp(xi)
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=EXACT)
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0, abs=EXACT)
@@ -73,7 +73,7 @@ def test_exp_is_a_rigid_motion(xi: NDArray) -> None:
 
 
 @given(twists())
-def test_exp_is_the_matrix_exponential(xi: NDArray) -> None:
+def test_exp_is_the_matrix_exponential(xi: NDArray[np.floating]) -> None:
     np.testing.assert_allclose(se3.exp(xi), expm(matrix_of(xi)), atol=EXACT)
 
 
@@ -91,14 +91,14 @@ def test_log_undoes_exp_on_both_sides_of_each_series(angle: float) -> None:
 
 
 @given(twists())
-def test_log_undoes_exp(xi: NDArray) -> None:
+def test_log_undoes_exp(xi: NDArray[np.floating]) -> None:
     # Of half a turn there are two logarithms, both right: test_log_of_half_a_turn.
     assume(np.linalg.norm(xi[3:]) < math.pi - 1e-10)
     np.testing.assert_allclose(se3.log(se3.exp(xi)), xi, atol=NEAR_PI)
 
 
 @given(twists())
-def test_exp_undoes_log(xi: NDArray) -> None:
+def test_exp_undoes_log(xi: NDArray[np.floating]) -> None:
     T = se3.exp(xi)
     np.testing.assert_allclose(se3.exp(se3.log(T)), T, atol=NEAR_PI)
 
@@ -117,14 +117,18 @@ def test_log_of_half_a_turn(axis: tuple[float, float, float]) -> None:
 
 
 @given(twists(), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_motions_along_one_twist_commute_and_add(xi: NDArray, s: float, t: float) -> None:
+def test_motions_along_one_twist_commute_and_add(
+    xi: NDArray[np.floating], s: float, t: float
+) -> None:
     np.testing.assert_allclose(
         se3.exp(s * xi) @ se3.exp(t * xi), se3.exp((s + t) * xi), atol=EXACT
     )
 
 
 @given(twists(), twists(), twists())
-def test_group_axioms(a: NDArray, b: NDArray, c: NDArray) -> None:
+def test_group_axioms(
+    a: NDArray[np.floating], b: NDArray[np.floating], c: NDArray[np.floating]
+) -> None:
     A, B, C = se3.exp(a), se3.exp(b), se3.exp(c)
     np.testing.assert_allclose(se3.inverse(A) @ A, np.eye(4), atol=EXACT)
     np.testing.assert_allclose(A @ se3.inverse(A), np.eye(4), atol=EXACT)
@@ -141,7 +145,9 @@ def test_inverse_of_a_stack_is_the_stack_of_inverses() -> None:
 
 
 @given(twists(), twists())
-def test_adjoint_carries_a_twist_to_the_other_side(a: NDArray, xi: NDArray) -> None:
+def test_adjoint_carries_a_twist_to_the_other_side(
+    a: NDArray[np.floating], xi: NDArray[np.floating]
+) -> None:
     T = se3.exp(a)
     np.testing.assert_allclose(
         T @ se3.exp(xi) @ se3.inverse(T), se3.exp(se3.adjoint(T) @ xi), atol=10 * EXACT
@@ -149,7 +155,7 @@ def test_adjoint_carries_a_twist_to_the_other_side(a: NDArray, xi: NDArray) -> N
 
 
 @given(twists(), twists())
-def test_adjoint_is_a_homomorphism(a: NDArray, b: NDArray) -> None:
+def test_adjoint_is_a_homomorphism(a: NDArray[np.floating], b: NDArray[np.floating]) -> None:
     A, B = se3.exp(a), se3.exp(b)
     np.testing.assert_allclose(
         se3.adjoint(A @ B), se3.adjoint(A) @ se3.adjoint(B), atol=10 * EXACT
@@ -157,7 +163,9 @@ def test_adjoint_is_a_homomorphism(a: NDArray, b: NDArray) -> None:
 
 
 @given(twists())
-def test_translation_of_exp_is_the_integral_of_the_turning_velocity(xi: NDArray) -> None:
+def test_translation_of_exp_is_the_integral_of_the_turning_velocity(
+    xi: NDArray[np.floating],
+) -> None:
     """T = integral of R(s phi) rho over s: Gauss-Legendre with 20 nodes is exact here."""
     nodes, weights = np.polynomial.legendre.leggauss(20)
     shares = 0.5 * (nodes + 1.0)
@@ -166,7 +174,9 @@ def test_translation_of_exp_is_the_integral_of_the_turning_velocity(xi: NDArray)
 
 
 @given(twists(), st.floats(1e-9, 1e-3))
-def test_orthonormalised_removes_scale_and_leaves_rigid_motions(xi: NDArray, bad: float) -> None:
+def test_orthonormalised_removes_scale_and_leaves_rigid_motions(
+    xi: NDArray[np.floating], bad: float
+) -> None:
     T = se3.exp(xi)
     np.testing.assert_allclose(se3.orthonormalised(T), T, atol=EXACT)
     stretched = T.copy()
@@ -175,7 +185,7 @@ def test_orthonormalised_removes_scale_and_leaves_rigid_motions(xi: NDArray, bad
 
 
 @given(twists())
-def test_quaternion_round_trip(xi: NDArray) -> None:
+def test_quaternion_round_trip(xi: NDArray[np.floating]) -> None:
     T = se3.exp(xi)
     quat_wxyz = se3.to_quaternion(T)
     assert quat_wxyz[0] >= 0.0
@@ -184,7 +194,7 @@ def test_quaternion_round_trip(xi: NDArray) -> None:
 
 
 @given(twists())
-def test_quaternion_is_the_closed_form(xi: NDArray) -> None:
+def test_quaternion_is_the_closed_form(xi: NDArray[np.floating]) -> None:
     angle = float(np.linalg.norm(xi[3:]))
     half_sine = 0.5 * np.sinc(angle / (2 * math.pi))  # sin(angle / 2) / angle
     expected = np.concatenate([[math.cos(angle / 2)], half_sine * xi[3:]])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Small folders in the layouts of the datasets, and what makes hostile ones of their files."""
+"""Small folders in the layouts of the datasets, and damaged copies of their files."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import json
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
@@ -24,19 +26,19 @@ NUMBERS_JSON = {'w': 64, 'h': 48, 'fx': 50.0, 'fy': 51.0, 'cx': 31.5, 'cy': 23.5
 POSE_TOLERANCE = 1e-8  # of matrices that were written with all their digits
 
 
-def pose_of(k: int) -> np.ndarray:
-    """Camera-to-world (4, 4) of frame k, turning and moving."""
+def pose_of(k: int) -> NDArray[np.float64]:
+    """Return T_world_cam (4, 4) of frame k of a camera that turns and moves."""
     return se3.exp(np.array([0.1 * k, -0.05, 0.02 * k, 0.03 * k, 0.2, -0.1]))
 
 
-def color_of(k: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
-    """RGB (H, W, 3), another in each frame."""
+def color_of(k: int, size: tuple[int, int] = (64, 48)) -> NDArray[np.uint8]:
+    """Return RGB (H, W, 3) that differs from frame to frame."""
     color = np.empty((size[1], size[0], 3), np.uint8)
     color[:] = (10 * k, 100, 200)
     return color
 
 
-def write_image(path: Path, image: np.ndarray) -> None:
+def write_image(path: Path, image: NDArray[Any]) -> None:
     """Encode RGB (H, W, 3) or depth (H, W) by the path's suffix."""
     path.parent.mkdir(parents=True, exist_ok=True)
     encoded, data = cv2.imencode(path.suffix, image[..., ::-1] if image.ndim == 3 else image)
@@ -44,12 +46,14 @@ def write_image(path: Path, image: np.ndarray) -> None:
     path.write_bytes(data.tobytes())
 
 
-def matrix_row(T: np.ndarray) -> str:
+def matrix_row(T: NDArray[np.float64]) -> str:
     return ' '.join(repr(float(value)) for value in T.ravel())
 
 
-def write_replica(scene: Path, numbers: Iterable[int], poses: Sequence[np.ndarray]) -> Path:
-    """Frames of these numbers at (1 + k / 10) m, `cam_params.json` beside the scene."""
+def write_replica(
+    scene: Path, numbers: Iterable[int], poses: Sequence[NDArray[np.float64]]
+) -> Path:
+    """Write frames of these numbers at (1 + k / 10) m, `cam_params.json` beside the scene."""
     for k in numbers:
         write_image(scene / f'results/frame{k:06d}.jpg', color_of(k))
         depth = np.full((48, 64), round(6553.5 * (1 + 0.1 * k)), np.uint16)
@@ -59,8 +63,8 @@ def write_replica(scene: Path, numbers: Iterable[int], poses: Sequence[np.ndarra
     return scene
 
 
-def write_seven_scenes(folder: Path, depths_mm: Sequence[np.ndarray]) -> Path:
-    """Frames of 640x480 with these depths; pose k is `pose_of(k)`, of the depth camera."""
+def write_seven_scenes(folder: Path, depths_mm: Sequence[NDArray[np.uint16]]) -> Path:
+    """Write frames of 640x480 with these depths; pose k is `pose_of(k)`, of the depth camera."""
     for k, depth_mm in enumerate(depths_mm):
         write_image(folder / f'frame-{k:06d}.color.png', color_of(k, (640, 480)))
         write_image(folder / f'frame-{k:06d}.depth.png', depth_mm)
@@ -70,7 +74,7 @@ def write_seven_scenes(folder: Path, depths_mm: Sequence[np.ndarray]) -> Path:
 
 
 def write_icl_nuim(folder: Path, numbers: Sequence[int], truth: str | None) -> Path:
-    """Frames of these numbers at (1 + k / 10) m, `truth` in livingRoom2.gt.freiburg."""
+    """Write frames of these numbers at (1 + k / 10) m, `truth` in livingRoom2.gt.freiburg."""
     for k in numbers:
         write_image(folder / f'rgb/{k}.png', color_of(k))
         depth = np.full((48, 64), 5000 + 500 * k, np.uint16)
@@ -82,8 +86,8 @@ def write_icl_nuim(folder: Path, numbers: Sequence[int], truth: str | None) -> P
     return folder
 
 
-def write_described(folder: Path, text: str, colors: Sequence[str], depths: Sequence[str]) -> Path:
-    """Images of these names: colour `color_of(k)`, depth k + 1 m in millimetres."""
+def write_custom(folder: Path, text: str, colors: Sequence[str], depths: Sequence[str]) -> Path:
+    """Write images of these names: colour `color_of(k)`, depth k + 1 m in millimetres."""
     for k, name in enumerate(colors):
         write_image(folder / name, color_of(k))
     for k, name in enumerate(depths):
@@ -100,7 +104,7 @@ def good_frames(source: ImageSequence) -> list[RgbdFrame]:
 
 
 def mutants(data: bytes, count: int, seed: int) -> Iterable[bytes]:
-    """Damage a text file: bytes, lengths, numbers, nesting, and what no text holds."""
+    """Yield damaged copies of a text file: bytes, lengths, numbers, nesting, invalid text."""
     rng = np.random.default_rng(seed)
     spice = [b'{', b'[', b']', b'}', b'&a [*a]', b'1' * 5000, b'-1e400', b'.inf', b'nan', b'\0']
     spice += [b'!!int ""', b'!!bool x', b'!!timestamp x', b'!!python/name:os.system', b'"\\ud800"']
@@ -121,10 +125,10 @@ def mutants(data: bytes, count: int, seed: int) -> Iterable[bytes]:
 
 
 def survives(path: Path, damaged: Iterable[bytes], open_: Callable[[], ImageSequence]) -> int:
-    """Open with each content of the file, and read a frame; count those that opened.
+    """Open each damaged file and read a frame; return how many could be opened.
 
-    What may be raised is a `DcgsError` with a message that can be printed, not much
-    longer than the file.
+    Only a `DcgsError` may be raised, whose message can be printed and is not much longer than the
+    file.
     """
     opened = 0
     for data in damaged:

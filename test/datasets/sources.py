@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A sequence that stands in memory."""
+"""A sequence in memory."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SENSOR = SensorNoise(0.0011, 0.0023, 0.15, 7.25)
 
 @dataclass(frozen=True)
 class MemorySource:
-    """What a `Source` is, as it is given."""
+    """A `Source` of given frames, poses and samples."""
 
     frames: list[RgbdFrame]
     camera: PinholeCamera = CAMERA
@@ -45,7 +45,7 @@ class MemorySource:
 
 
 def frames_of(count: int, per_metre: float, grey: bool = False) -> list[RgbdFrame]:
-    """Noise; depth with a step of 1 / `per_metre`, stamped now before and now after colour."""
+    """Return noise; depth in steps of 1 / `per_metre`, stamped alternately before and after."""
     rng = np.random.default_rng(7)
     frames = []
     for k in range(count):
@@ -59,14 +59,14 @@ def frames_of(count: int, per_metre: float, grey: bool = False) -> list[RgbdFram
 
 
 def truth_of(start_ns: int, seconds: float) -> Trajectory:
-    """Poses at 100 Hz of a camera that turns and moves."""
+    """Return poses at 100 Hz of a camera that turns and moves."""
     times = np.arange(0, seconds, 0.01)
     poses = np.array([se3.exp(np.array([t, 0.1, -t, 0.3, t, 0.2])) for t in times])
     return Trajectory(start_ns + np.rint(times * 1e9).astype(np.int64), poses)
 
 
 def samples_of(count: int, interval_ns: int, apart: bool) -> tuple[ImuSample, ...]:
-    """Samples of both quantities, or of one and the other in turn."""
+    """Return samples of both quantities, or of one and the other in turn."""
     samples = []
     for k in range(count):
         acceleration = None if apart and k % 2 else (0.1 * k, 9.8, -0.2)
@@ -77,7 +77,7 @@ def samples_of(count: int, interval_ns: int, apart: bool) -> tuple[ImuSample, ..
 
 
 def same_frames(first: list[RgbdFrame], second: list[RgbdFrame]) -> bool:
-    """Whether stamps and pixels are the same, bit for bit."""
+    """Return whether stamps and pixels are the same, bit for bit."""
     return len(first) == len(second) and all(
         (a.stamp_ns, a.depth_stamp_ns) == (b.stamp_ns, b.depth_stamp_ns)
         and np.array_equal(a.color, b.color)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One walk through a synthetic room, written in every format, is the same to `dcgs`.
+"""One synthetic sequence, written in every format, is tracked equally in all of them.
 
 Wrong axes, units, stamps or intrinsics of any of them would show in the error of the trajectory.
 """
@@ -16,12 +16,14 @@ import folders  # type: ignore[import-not-found]
 import numpy as np
 import pytest
 from bags import (  # type: ignore[import-not-found]
+    Entry,
     depth_entry,
     image_entry,
     info_entry,
     write_bag,
     write_ros1,
 )
+from numpy.typing import NDArray
 from realsense_bags import pose_entry  # type: ignore[import-not-found]
 
 from dcgs_ros.cli.main import main
@@ -39,7 +41,7 @@ INTRINSICS = f'{CAMERA.fx},{CAMERA.fy},{CAMERA.cx},{CAMERA.cy}'
 MAX_ATE_CM = 0.15  # without an error of the format it is a tenth of that
 MOVED_CM = 3.0  # at least, or no error would show
 
-Walk = Sequence[tuple[RgbdFrame, np.ndarray]]
+Walk = Sequence[tuple[RgbdFrame, NDArray[np.float64]]]
 Written = tuple[Path | str, Sequence[str]]  # an address, and what else has to be told
 
 
@@ -53,11 +55,11 @@ def walk() -> Walk:
     return list(zip(ROOM, truth.T_world_cam, strict=True))
 
 
-def raw(frame: RgbdFrame, per_metre: float) -> np.ndarray:
+def raw(frame: RgbdFrame, per_metre: float) -> NDArray[np.uint16]:
     return np.rint(frame.depth_m * per_metre).astype(np.uint16)
 
 
-def tum_row(stamp: object, T: np.ndarray) -> str:
+def tum_row(stamp: object, T: NDArray[np.float64]) -> str:
     w, x, y, z = se3.to_quaternion(T)
     return f'{stamp} {" ".join(f"{value:.9f}" for value in (*T[:3, 3], x, y, z, w))}\n'
 
@@ -76,7 +78,7 @@ def as_tum(folder: Path, walk: Walk) -> Written:
     return folder, ('--camera', INTRINSICS)
 
 
-def as_described(folder: Path, walk: Walk) -> Written:
+def as_custom(folder: Path, walk: Walk) -> Written:
     as_tum(folder, walk)
     (folder / 'dcgs.yaml').write_text(
         f'camera: {{width: {CAMERA.width}, height: {CAMERA.height}, fx: {CAMERA.fx}, '
@@ -130,9 +132,9 @@ def as_icl_nuim(folder: Path, walk: Walk) -> Written:
     return folder, ('--camera', INTRINSICS)
 
 
-def entries(walk: Walk) -> list:
+def entries(walk: Walk) -> list[Entry]:
     color, optical = '/camera/camera/color/image_raw', 'camera_color_optical_frame'
-    found = []
+    found: list[Entry] = []
     for frame, T in walk:
         found += [
             info_entry(frame.stamp_ns, CAMERA),
@@ -152,7 +154,7 @@ def as_ros1(folder: Path, walk: Walk) -> Written:
 
 
 WRITERS: list[Callable[[Path, Walk], Written]] = [
-    as_tum, as_described, as_replica, as_scannet, as_icl_nuim, as_rosbag2, as_ros1,
+    as_tum, as_custom, as_replica, as_scannet, as_icl_nuim, as_rosbag2, as_ros1,
 ]  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ICL-NUIM folders: depth first, numbers for stamps, and a truth that is mirrored."""
+"""ICL-NUIM folders: depth first, frame numbers for stamps, mirrored ground truth."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.sensor import SensorNoise
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.icl_nuim import is_icl_nuim, mirrored, open_icl_nuim
-from dcgs_ros.datasets.images.indexed_frames import stamp_of
+from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
 from dcgs_ros.datasets.source import SourceError
 
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images
@@ -36,7 +37,7 @@ def test_frames_are_what_was_written(living_room: Path) -> None:
     source = open_icl_nuim(living_room, SMALL)
     assert source.sensor == PRESETS['icl_nuim'].sensor
     for k, frame in enumerate(folders.good_frames(source)):
-        assert frame.stamp_ns == frame.depth_stamp_ns == stamp_of(k)
+        assert frame.stamp_ns == frame.depth_stamp_ns == stamp_of_index(k)
         np.testing.assert_array_equal(frame.color, folders.color_of(k))
         np.testing.assert_allclose(frame.depth_m, 1 + 0.1 * k, atol=FLOAT32_STEP)
 
@@ -44,15 +45,15 @@ def test_frames_are_what_was_written(living_room: Path) -> None:
 def test_truth_goes_with_the_frames_of_its_numbers(living_room: Path) -> None:
     truth = open_icl_nuim(living_room).groundtruth
     assert truth is not None
-    assert truth.stamps_ns.tolist() == [stamp_of(1), stamp_of(2), stamp_of(4)]
+    assert truth.stamps_ns.tolist() == [stamp_of_index(1), stamp_of_index(2), stamp_of_index(4)]
     np.testing.assert_allclose(truth.T_world_cam[0, :3, 3], [0, 0, -2.25])
     np.testing.assert_allclose(truth.T_world_cam[1, :3, 3], [0.1, -0.2, -2.25])  # y down
 
 
 def project(
-    points_world: np.ndarray, T_world_cam: np.ndarray, fy: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) and depths (N,) of points (N, 3)."""
+    points_world: NDArray[np.float64], T_world_cam: NDArray[np.float64], fy: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return pixels (N, 2) and depths (N,) of points (N, 3)."""
     p = (points_world - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
     z = p[:, 2]
     return np.stack([481.2 * p[:, 0] / z + 319.5, fy * p[:, 1] / z + 239.5], axis=1), z
@@ -63,7 +64,7 @@ TWISTS = st.lists(st.floats(-2, 2), min_size=6, max_size=6).map(np.array)
 
 @given(TWISTS, st.integers(0, 2**32 - 1))
 def test_the_mirrored_camera_sees_the_mirrored_world_as_before(
-    twist: np.ndarray, seed: int
+    twist: NDArray[np.float64], seed: int
 ) -> None:
     T_world_cam = se3.exp(twist)
     rng = np.random.default_rng(seed)
@@ -76,7 +77,7 @@ def test_the_mirrored_camera_sees_the_mirrored_world_as_before(
 
 
 @given(TWISTS)
-def test_mirroring_keeps_rotations_and_undoes_itself(twist: np.ndarray) -> None:
+def test_mirroring_keeps_rotations_and_undoes_itself(twist: NDArray[np.float64]) -> None:
     T = se3.exp(twist)
     assert np.linalg.det(mirrored(T)[:3, :3]) == pytest.approx(1)
     np.testing.assert_array_equal(mirrored(mirrored(T)), T)
@@ -130,8 +131,8 @@ def test_two_truths_are_one_too_many(living_room: Path) -> None:
         ('5 depth/5.png', 'txt:6: 2 columns'),
         ('3 depth/3.png 3 rgb/3.png', 'txt:6: stamp 3.0* comes after'),
         ('5 ../5.png 5 rgb/5.png', 'txt:6: .*leads out'),
-        ('5 depth/\0.png 5 rgb/5.png', 'txt:6: .*no path'),
-        ('5.5 depth/5.png 6 rgb/5.png', 'txt: 5.5 is no frame number'),
+        ('5 depth/\0.png 5 rgb/5.png', 'txt:6: .*not a path'),
+        ('5.5 depth/5.png 6 rgb/5.png', 'txt: 5.5 is not a frame number'),
         ('1e300 depth/5.png 6 rgb/5.png', 'txt:6: .*no usable time'),
     ],
 )

@@ -45,7 +45,7 @@ def test_synthetic_sources_have_their_own_camera() -> None:
 def test_what_cannot_be_opened_is_told_why(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match='no such folder'):
         open_source(str(tmp_path / 'nowhere'))
-    with pytest.raises(SourceError, match=r'no known format\. There are: .*rgb\.txt'):
+    with pytest.raises(SourceError, match=r'unknown format\. Known formats: .*rgb\.txt'):
         open_source(str(tmp_path))
     (tmp_path / 'file').touch()
     with pytest.raises(SourceError, match='is a file'):
@@ -67,5 +67,5 @@ def test_topics_of_a_recording_are_named_behind_its_path(tmp_path: Path) -> None
 
 
 def test_only_recordings_have_topics(tum_folder: Callable[..., Path]) -> None:
-    with pytest.raises(SourceError, match='no known format'):
+    with pytest.raises(SourceError, match='unknown format'):
         open_source(f'{tum_folder("fr1_desk")}?color=/a')

@@ -16,7 +16,7 @@ TIMEOUT_S = 5.0
 
 
 class Counter:
-    """Yields 0, 1, 2, ... and notes how far it got, and in which thread."""
+    """Yields 0, 1, 2, ..., and keeps its progress and thread."""
 
     def __init__(self, count: int, fail_at: int | None = None) -> None:
         self.count = count

@@ -9,9 +9,10 @@ from pathlib import Path
 import folders  # type: ignore[import-not-found]
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from dcgs_ros.datasets.cameras import PRESETS
-from dcgs_ros.datasets.images.indexed_frames import stamp_of
+from dcgs_ros.datasets.camera_presets import PRESETS
+from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
 from dcgs_ros.datasets.seven_scenes import DEPTH_CAMERA, is_seven_scenes, open_seven_scenes
 from dcgs_ros.datasets.source import BadFrame, SourceError
 
@@ -20,7 +21,7 @@ BASELINE_M = 0.025
 EDGE_PX = 1.0  # depth is drawn to whole pixels
 
 
-def wall(depth_mm: int) -> np.ndarray:
+def wall(depth_mm: int) -> NDArray[np.uint16]:
     return np.full((480, 640), depth_mm, np.uint16)
 
 
@@ -31,7 +32,7 @@ def test_a_wall_stays_as_far_away(tmp_path: Path) -> None:
     assert source.camera == PRESETS['7scenes'].camera
     assert source.sensor == PRESETS['7scenes'].sensor
     for k, frame in enumerate(folders.good_frames(source)):
-        assert frame.stamp_ns == stamp_of(k)
+        assert frame.stamp_ns == stamp_of_index(k)
         np.testing.assert_array_equal(frame.color, folders.color_of(k, (640, 480)))
         seen = frame.depth_m[frame.depth_m > 0]
         np.testing.assert_allclose(seen, (1.0, 2.5)[k], atol=FLOAT32_STEP)
@@ -76,7 +77,7 @@ def test_a_missing_or_invalid_pose_is_left_out(tmp_path: Path, text: str | None)
         pose.write_text(text)
     source = open_seven_scenes(folder)
     assert source.groundtruth is not None
-    assert source.groundtruth.stamps_ns.tolist() == [stamp_of(0), stamp_of(2)]
+    assert source.groundtruth.stamps_ns.tolist() == [stamp_of_index(0), stamp_of_index(2)]
     assert len(source) == 3
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A contact sheet shows the views it was given, and says which is which."""
+"""A contact sheet shows the views it was given, with their titles."""
 
 from __future__ import annotations
 
@@ -35,14 +35,16 @@ def pair(k: int, shape: tuple[int, int] = (60, 80)) -> ContactPair:
 
 
 def sheet(path: Path, pairs: list[ContactPair]) -> NDArray[np.uint8]:
-    """Write and read back as RGB."""
+    """Write a sheet and read it back as RGB."""
     write_contact_sheet(path, pairs)
     image = cv2.imread(str(path))
     assert image is not None
     return image[..., ::-1]
 
 
-def panel(image: NDArray, row: int, column: int, shape: tuple[int, int]) -> NDArray:
+def panel(
+    image: NDArray[np.uint8], row: int, column: int, shape: tuple[int, int]
+) -> NDArray[np.float64]:
     """Cut one view out of a sheet, 0 to 1."""
     top = row * (TITLE_PX + shape[0] + MARGIN_PX) + TITLE_PX
     left = column * (shape[1] + 2 * MARGIN_PX) + MARGIN_PX
@@ -105,7 +107,7 @@ def test_colors_are_clipped_before_they_are_mixed(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown, 0.5, atol=HALF_GREY_LEVEL)
 
 
-def test_what_cannot_be_shown_or_written_is_said(tmp_path: Path) -> None:
+def test_errors_name_what_cannot_be_drawn_or_written(tmp_path: Path) -> None:
     path = tmp_path / 'a.png'
     with pytest.raises(ContactSheetError, match=r'views are of \[\], not'):
         write_contact_sheet(path, [])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""LPIPS against torch, and weights that are none."""
+"""LPIPS against torch, and files that do not hold its weights."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def picture(seed: int, height: int = 70, width: int = 90) -> NDArray[np.float32]
 
 
 def weights(seed: int = 0) -> dict[str, Any]:
-    """Make the tree that the file holds, of random numbers."""
+    """Return random weights in the structure of the published file."""
     rng = np.random.default_rng(seed)
     tree: dict[str, Any] = {'AlexNet_0': {}}
     for k, shape in enumerate(SHAPES):
@@ -58,7 +58,9 @@ def weights(seed: int = 0) -> dict[str, Any]:
     return tree
 
 
-def torch_lpips(tree: dict[str, Any], image: NDArray, truth: NDArray) -> float:
+def torch_lpips(
+    tree: dict[str, Any], image: NDArray[np.float32], truth: NDArray[np.float32]
+) -> float:
     """Compute LPIPS in float64, as its authors define it."""
     torch = pytest.importorskip('torch')
     torch.set_num_threads(1)
@@ -112,7 +114,7 @@ def test_it_is_what_torch_computes_from_the_published_weights(lpips: Lpips) -> N
         )
 
 
-def test_published_weights_reward_likeness_only(lpips: Lpips) -> None:
+def test_published_weights_are_not_negative(lpips: Lpips) -> None:
     path = find_weights()
     assert path is not None
     assert all((layer.linear >= 0).all() for layer in read_weights(path))
@@ -141,7 +143,7 @@ def test_images_that_cannot_be_compared(lpips: Lpips) -> None:
         lpips(picture(0)[:30], picture(0)[:30])
 
 
-def test_without_the_package_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_load_returns_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lpips_weights, 'find_spec', lambda name: None)
     assert Lpips.load() is None
 
@@ -184,8 +186,8 @@ def test_weights_written_by_either_numpy_are_read(tmp_path: Path, numpy_names: b
         np.testing.assert_array_equal(layer.linear, linear[0, 0, :, 0])
 
 
-class Asks:
-    """Asks whoever unpickles it to call something."""
+class Call:
+    """Unpickles as a call of a function."""
 
     def __init__(self, function: Callable[..., Any], *arguments: object) -> None:
         self.request = function, arguments
@@ -197,9 +199,9 @@ class Asks:
 def test_a_hostile_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
     witness = tmp_path / 'ran'
     for request, name in (
-        (Asks(os.system, f'touch {witness}'), f'{os.name}.system'),
-        (Asks(eval, f'open({str(witness)!r}, "w")'), 'builtins.eval'),
-        (Asks(np.save, str(witness), 0), 'numpy.save'),
+        (Call(os.system, f'touch {witness}'), f'{os.name}.system'),
+        (Call(eval, f'open({str(witness)!r}, "w")'), 'builtins.eval'),
+        (Call(np.save, str(witness), 0), 'numpy.save'),
     ):
         tree = weights()
         tree['AlexNet_0']['Conv_0']['bias'] = request
@@ -208,8 +210,8 @@ def test_a_hostile_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / 'alexnet.ckpt']
 
 
-class Vast:
-    """An array of 8 GB, by its own account."""
+class Huge:
+    """Unpickles as an array that claims 8 GB."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         make: Any = np.zeros(1, np.float32).__reduce__()
@@ -220,11 +222,11 @@ WRONG = {
     'objects': (np.array([{}] * 64, object), 'it uses .*EMPTY_LIST'),
     'float64': (np.zeros(64), "'f8'"),
     'big-endian': (np.zeros(64, '>f4'), 'little-endian'),
-    'fewer': (np.zeros(63, np.float32), r'bias 0 is no array of \(64,\)'),
+    'fewer': (np.zeros(63, np.float32), r'bias 0 is not an array of \(64,\)'),
     'not finite': (np.full(64, np.nan, np.float32), 'bias 0 is not finite'),
     'a list': ([0.0] * 64, 'it uses APPENDS'),
-    'vast': (Vast(), 'does not fit its 0 bytes'),
-    'a number': (3, 'bias 0 is no array'),
+    'huge': (Huge(), 'does not fit its 0 bytes'),
+    'a number': (3, 'bias 0 is not an array'),
 }
 
 
@@ -255,7 +257,7 @@ def test_sizes_that_lie_allocate_nothing(tmp_path: Path) -> None:
             read_weights(write(tmp_path, data))
 
 
-def test_a_vast_file_is_not_read(tmp_path: Path) -> None:
+def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
     path = write(tmp_path, b'')
     os.truncate(path, 10**12)
     with pytest.raises(LpipsError, match='1000000000000 bytes, more than'):
@@ -274,7 +276,7 @@ def test_a_damaged_file_gives_the_weights_or_an_error_that_names_it(tmp_path: Pa
             layers = read_weights(write(tmp_path, bytes(damaged)))
         except LpipsError as error:
             assert 'alexnet.ckpt: does not hold' in str(error)
-        else:  # a byte that means nothing here, as the order of an array of one dimension
+        else:  # a byte without effect, such as the memory order of a 1-D array
             for layer, intact in zip(layers, whole, strict=True):
                 for field in fields(layer):
                     np.testing.assert_array_equal(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which pixels and which views each score of a run is over."""
+"""The pixels and the views that each score of a run is computed over."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ OPAQUE = np.zeros(SHAPE, np.float32)
 
 
 def picture(seed: int = 0) -> NDArray[np.float32]:
-    """Make an image of 0.2 to 0.8."""
+    """Return a random image of 0.2 to 0.8."""
     return np.random.default_rng(seed).uniform(0.2, 0.8, (*SHAPE, 3)).astype(np.float32)
 
 
 def score(
-    shown: NDArray,
-    truth: NDArray,
-    with_exposure: NDArray | None = None,
-    depth_m: NDArray = MEASURED,
-    valid: NDArray = EVERYWHERE,
-    transmittance: NDArray = OPAQUE,
+    shown: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    with_exposure: NDArray[np.float32] | None = None,
+    depth_m: NDArray[np.float32] = MEASURED,
+    valid: NDArray[np.bool_] = EVERYWHERE,
+    transmittance: NDArray[np.float32] = OPAQUE,
     lpips: Lpips | None = None,
 ) -> ViewScores:
     return score_view(7, True, shown, with_exposure, truth, depth_m, valid, transmittance, lpips)
 
 
 class Recorder(Lpips):
-    """Gives the mean difference, and keeps what it was shown."""
+    """Returns the mean difference, and keeps the images."""
 
     def __init__(self) -> None:
-        self.pairs: list[tuple[NDArray, NDArray]] = []
+        self.pairs: list[tuple[NDArray[np.floating], NDArray[np.floating]]] = []
 
-    def __call__(self, image: NDArray, truth: NDArray) -> float:
+    def __call__(self, image: NDArray[np.floating], truth: NDArray[np.floating]) -> float:
         self.pairs.append((image, truth))
         return float(np.abs(image - truth).mean())
 
@@ -77,7 +77,7 @@ def test_exposure_helps_the_interpolated_scores_only() -> None:
     assert replace(helped, interpolated=None) == plain
 
 
-def test_what_is_brighter_than_white_is_white() -> None:
+def test_values_above_one_are_clipped() -> None:
     truth = np.ones((*SHAPE, 3), np.float32)
     view = score(truth + 3, truth, with_exposure=truth + 5)
     assert view.psnr_db == PSNR_MAX_DB

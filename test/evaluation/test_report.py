@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report counts and measures what the record holds, and is strict JSON."""
+"""The report follows from the record, and is strict JSON."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.tracking.observability import Observability
-from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.evaluation.rendering import Scores, ViewScores
 from dcgs_ros.evaluation.report import (
@@ -42,7 +43,7 @@ def tracked(
     kappa: float | None = None,
     keyframe: bool = False,
 ) -> TrackedFrame:
-    """Make a frame of a camera that swings sideways."""
+    """Return a frame of a camera that swings sideways."""
     T_world_cam = se3.exp(np.array([np.sin(0.3 * index), 0.1 * index, 0, 0, 0, 0.02 * index]))
     result = TrackResult(
         stamp_ns=index * FRAME_NS,
@@ -55,7 +56,7 @@ def tracked(
         inliers=90,
         landmarks=10,
         keyframe=keyframe,
-        spawned=np.empty(0, np.int64),
+        keyframes=(),
         colour_depth_offset_ms=0.1 * index,
     )
     return TrackedFrame(index, result, seconds, gaussians=1000 * index)
@@ -74,7 +75,7 @@ def a_record() -> RunRecord:
     return record
 
 
-def report_of(record: RunRecord, accuracy: Accuracy | None = None) -> dict:
+def report_of(record: RunRecord, accuracy: Accuracy | None = None) -> dict[str, Any]:
     return build_report(record, accuracy or Accuracy(), '2 x CPU', 321.0, '1.2.3')
 
 
@@ -94,7 +95,7 @@ def test_dropped_frames_are_skipped_ones() -> None:
     assert (report['frames'], report['skipped'], report['dropped']) == (7, 2, 1)
 
 
-def test_the_report_tells_how_to_open_the_source_again() -> None:
+def test_the_report_holds_the_address_and_camera_of_the_source() -> None:
     record = RunRecord('room', 'full', '../data/room', 'fr1', tracked=[tracked(0)])
     assert report_of(record)['address'] == '../data/room'
     assert report_of(record)['camera'] == 'fr1'
@@ -156,7 +157,7 @@ def test_one_frame_and_no_truth_make_a_report_of_strict_json() -> None:
     assert json.loads(json.dumps(report, allow_nan=False)) == report
 
 
-def test_what_is_not_finite_becomes_null() -> None:
+def test_non_finite_values_become_null() -> None:
     record = a_record()
     record.tracked.append(tracked(6, kappa=float('inf')))
     record.tracked.append(tracked(7, kappa=float('inf')))
@@ -195,7 +196,7 @@ def test_accuracy_of_a_moved_copy_is_perfect() -> None:
     assert report['rpe_1s']['trans_rmse_cm'] < ROUNDING
 
 
-def test_what_cannot_be_compared_says_why() -> None:
+def test_what_is_not_computed_has_a_reason() -> None:
     assert assess(a_trajectory(5), None) == Accuracy()
     short = assess(a_trajectory(5), a_trajectory(5))
     assert short.ate is not None

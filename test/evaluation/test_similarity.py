@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from dcgs_ros.evaluation.similarity import PSNR_MAX_DB, SimilarityError, psnr_db, ssim
 
 HALF_WINDOW_PX = 5
-PSNR_DB = 1e-5  # what float32 images leave of a closed form
+PSNR_DB = 1e-5  # rounding of float32 images
 SSIM_FLOAT32 = 2e-6  # on the mean
 Score = Callable[..., float]
 
 
 def picture(seed: int, height: int = 60, width: int = 80) -> NDArray[np.float32]:
-    """Draw smooth blobs of colour, from 0 to 1."""
+    """Return smooth blobs of colour, from 0 to 1."""
     rng = np.random.default_rng(seed)
     image = cv2.GaussianBlur(rng.random((height, width, 3)), (0, 0), 2.0)
     image = (image - image.min()) / np.ptp(image)
     return image.astype(np.float32)
 
 
-def noisy(image: NDArray, sigma: float, seed: int = 1) -> NDArray[np.float32]:
+def noisy(image: NDArray[np.float32], sigma: float, seed: int = 1) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
     return np.clip(image + sigma * rng.normal(size=image.shape), 0, 1).astype(np.float32)
 
@@ -76,8 +76,8 @@ def test_ssim_over_a_mask_takes_the_rest_from_the_truth() -> None:
     assert ssim(image, truth, valid) == pytest.approx(expected, abs=SSIM_FLOAT32)
 
 
-def reference(image: NDArray, truth: NDArray) -> NDArray[np.float64]:
-    """Map SSIM (H, W, 3) with scikit-image in float64, so far from its border as not to see it."""
+def reference(image: NDArray[np.float32], truth: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return SSIM (H, W, 3) by scikit-image in float64, padded to keep its border away."""
     metrics = pytest.importorskip('skimage.metrics')
     around = [(2 * HALF_WINDOW_PX, 2 * HALF_WINDOW_PX)] * 2 + [(0, 0)]
     _, similarity = metrics.structural_similarity(
@@ -95,7 +95,7 @@ def reference(image: NDArray, truth: NDArray) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize('score', [psnr_db, ssim])
-def test_what_stands_at_invalid_pixels_does_not_count(score: Score) -> None:
+def test_values_at_invalid_pixels_do_not_count(score: Score) -> None:
     truth, valid = picture(0), picture(2)[..., 0] > 0.4
     image = noisy(truth, 0.1)
     poisoned = np.where(valid[..., None], image, np.float32(np.nan))
@@ -112,7 +112,7 @@ def test_float64_gives_the_same(score: Score) -> None:
 
 
 @pytest.mark.parametrize('score', [psnr_db, ssim])
-def test_what_cannot_be_compared_is_refused_with_its_shape(score: Score) -> None:
+def test_images_that_cannot_be_compared_are_refused_with_their_shapes(score: Score) -> None:
     truth = picture(0)
     with pytest.raises(SimilarityError, match=r'\(60, 80, 3\) and \(59, 80, 3\)'):
         score(truth, truth[1:])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from evo.core import metrics, sync
 from evo.core.trajectory import PoseTrajectory3D
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dcgs_ros.core.trajectory import Trajectory
@@ -28,7 +29,7 @@ EXACT = 1e-9
 SECOND_NS = 1_000_000_000
 
 
-def rigid(rng: np.random.Generator, scale_m: float = 3.0) -> np.ndarray:
+def rigid(rng: np.random.Generator, scale_m: float = 3.0) -> NDArray[np.float64]:
     pose = np.eye(4)
     pose[:3, :3] = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
     pose[:3, 3] = rng.normal(scale=scale_m, size=3)
@@ -78,7 +79,7 @@ def assert_ate_is_evos(estimate: Trajectory, truth: Trajectory) -> None:
         assert getattr(ours, f'{name}_cm') == pytest.approx(theirs[name], abs=EVO_TOLERANCE)
 
 
-# The estimate as dense as the truth, sparser, and denser: evo matches from the sparser one.
+# The estimate as dense as the truth, sparser and denser: evo matches from the sparser one.
 @pytest.mark.parametrize(('every', 'truth_every'), [(1, 1), (4, 1), (1, 3), (3, 2)])
 @pytest.mark.parametrize('seed', range(5))
 def test_ate_is_evos(seed: int, every: int, truth_every: int) -> None:
@@ -160,7 +161,7 @@ def test_alignment_is_the_best_rigid_motion() -> None:
     targets = points @ rigid(rng)[:3, :3].T + rng.normal(scale=0.2, size=(40, 3))
     best = align_umeyama(points, targets)
 
-    def cost(pose: np.ndarray) -> float:
+    def cost(pose: NDArray[np.float64]) -> float:
         return float(np.sum((targets - points @ pose[:3, :3].T - pose[:3, 3]) ** 2))
 
     for _ in range(200):
@@ -214,7 +215,7 @@ def test_rpe_of_a_constant_drift_is_the_drift() -> None:
 def test_rpe_leaves_out_pairs_across_a_gap() -> None:
     stamps = SECOND_NS // 10 * np.r_[0:15, 40:55].astype(np.int64)
     poses = np.tile(np.eye(4), (30, 1, 1))
-    poses[15:, 0, 3] = 7.0  # the jump happens in the gap
+    poses[15:, 0, 3] = 7.0  # the jump is in the gap
     truth = Trajectory(stamps, np.tile(np.eye(4), (30, 1, 1)))
     rpe = relative_pose_error(Trajectory(stamps, poses), truth)
     assert rpe.pairs == 10  # five before the gap, five behind it
@@ -234,7 +235,7 @@ def test_association_takes_the_nearest_within_the_limit() -> None:
     np.testing.assert_array_equal(swapped, (j, i))
 
 
-def test_what_cannot_be_compared_is_told_with_numbers() -> None:
+def test_errors_say_what_cannot_be_compared_with_numbers() -> None:
     truth = walk(np.random.default_rng(8), 50)
     late = Trajectory(truth.stamps_ns + 60 * SECOND_NS, truth.T_world_cam)
     with pytest.raises(EvaluationError, match=r'found 0 of 50 .* 20 ms.*largest 6\d{4} ms'):
@@ -251,7 +252,7 @@ def test_what_cannot_be_compared_is_told_with_numbers() -> None:
 
 
 @pytest.mark.parametrize('with_truth', [True, False])
-def test_the_picture_is_a_png_and_leaves_pyplot_alone(tmp_path: Path, with_truth: bool) -> None:
+def test_the_plot_is_a_png_with_and_without_truth(tmp_path: Path, with_truth: bool) -> None:
     rng = np.random.default_rng(9)
     truth = walk(rng, 50)
     estimate = disturbed(rng, truth)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Archives: exact, the same bytes each time, and safe to read whoever wrote them."""
+"""Archives are exact, have the same bytes each time, and are safe to read."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ GOOD_METADATA = json.dumps({'format': 'dcgs_ros archive', 'version': VERSION, 'm
 
 def small(path: Path) -> bytes:
     """Write an archive with something of each kind."""
-    arrays: dict[str, NDArray] = {
+    arrays: dict[str, NDArray[Any]] = {
         'means': np.arange(12, dtype=np.float32).reshape(4, 3),
         'ids': np.array([-1, 5]),
         'none': np.zeros((0, 3)),
@@ -52,7 +52,7 @@ def small(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def npy(array: NDArray, allow_pickle: bool = False) -> bytes:
+def npy(array: NDArray[Any], allow_pickle: bool = False) -> bytes:
     file = io.BytesIO()
     np.lib.format.write_array(file, array, allow_pickle=allow_pickle)
     return file.getvalue()
@@ -72,7 +72,7 @@ def npy_of_shape(shape: str, data: bytes = b'') -> bytes:
 def packed(
     *members: tuple[str, bytes], metadata: str = GOOD_METADATA, method: int = zipfile.ZIP_STORED
 ) -> bytes:
-    """Zip members behind good metadata, with the CRC that they have."""
+    """Return a zip with good metadata and these members, with their CRC."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, 'w', method) as target:
         target.writestr(zipfile.ZipInfo('metadata.json'), metadata)
@@ -85,7 +85,7 @@ def packed(
 
 @contextlib.contextmanager
 def bounded_memory(file_size: int) -> Iterator[None]:
-    """Assert that what is run takes no more than a few times the file's size."""
+    """Assert that the block takes no more than a few times the file's size."""
     tracemalloc.start()
     try:
         yield
@@ -105,7 +105,7 @@ def bounded_memory(file_size: int) -> Iterator[None]:
 )
 def test_written_then_read_is_the_same_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory,
-    arrays: dict[str, NDArray],
+    arrays: dict[str, NDArray[Any]],
     metadata: dict[str, Any],
     blobs: dict[str, bytes],
 ) -> None:
@@ -162,7 +162,7 @@ def patched(offset: int, form: str, *values: int) -> bytes:
 
 
 def repeated_in_directory() -> bytes:
-    """Name the one x twice in the directory at the end, as an overlapping zip does."""
+    """Return a zip whose directory names x twice, as one with overlapping members does."""
     entry = ONE[ONE.index(b'PK\x01\x02', DIRECTORY + 1) : -22]
     size = len(ONE) - 22 - DIRECTORY + len(entry)
     end = struct.pack('<4s4H2IH', b'PK\x05\x06', 0, 0, 3, 3, size, DIRECTORY, 0)
@@ -280,7 +280,7 @@ def test_members_have_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyP
         write_archive(tmp_path / 'a', {}, {}, {'y': bytes(9)})
 
 
-UNWRITABLE: dict[str, tuple[dict[str, NDArray], dict[str, Any], dict[str, bytes], str]] = {
+UNWRITABLE: dict[str, tuple[dict[str, NDArray[Any]], dict[str, Any], dict[str, bytes], str]] = {
     'objects': ({'x': np.array([None])}, {}, {}, "array 'x' is object"),
     'complex': ({'x': np.zeros(1, complex)}, {}, {}, "array 'x' is complex128"),
     'big-endian': ({'x': np.zeros(1, '>f4')}, {}, {}, "array 'x' is >f4"),
@@ -359,7 +359,7 @@ def damaged(good: bytes, seed: int) -> bytes:
 
 
 def read_or_refused(path: Path, content: bytes) -> bool:
-    """Read, within the bounds of memory; anything but an `ArchiveError` passes through."""
+    """Read within the bounds of memory; return whether that raised no `ArchiveError`."""
     path.write_bytes(content)
     with bounded_memory(len(content)):
         try:
@@ -376,7 +376,7 @@ def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> N
 
 
 def test_forged_members_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
-    """Damage the contents under a CRC that fits: what reaches numpy's and JSON's syntax."""
+    """Damage the contents but not their CRC, so that the parsers read them."""
     small(tmp_path / 'a')
     with zipfile.ZipFile(tmp_path / 'a') as opened:
         members = {name: opened.read(name) for name in opened.namelist()}

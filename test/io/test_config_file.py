@@ -13,7 +13,7 @@ import yaml
 from dcgs_ros.core.config.schema import ConfigError, flatten, override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.sensor import SensorNoise
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.io.config_file import apply_file, write_config
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Saved maps: exactly what was saved, and nothing that contradicts itself."""
+"""Saved maps read back exactly, and inconsistent ones are refused."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def test_what_is_read_can_be_changed_and_written_again(tmp_path: Path) -> None:
     assert_same(read_map(tmp_path / 'a'), again)
 
 
-def changed(name: str, index: Any, value: float) -> dict[str, NDArray]:
+def changed(name: str, index: Any, value: float) -> dict[str, NDArray[Any]]:
     saved = example()
     array = saved.splats.planes if name == 'splats' else getattr(saved, name)
     array[index] = value
@@ -181,7 +181,7 @@ def changed(name: str, index: Any, value: float) -> dict[str, NDArray]:
 
 
 # What `SavedMap` and a file with the same array both refuse.
-FAULTS: dict[str, tuple[dict[str, NDArray], str]] = {
+FAULTS: dict[str, tuple[dict[str, NDArray[Any]], str]] = {
     'few ids': ({'ids': np.arange(4)}, r'ids is int64 of shape \(4,\), not int64 of \(5,\)'),
     'short ids': (
         {'ids': np.arange(5, dtype=np.int32)},
@@ -256,7 +256,7 @@ def test_a_keyframe_that_is_none_cannot_be_made(fault: str) -> None:
 
 
 def parts_of(path: Path) -> Archive:
-    """Write a good map; return what its archive holds, to be changed."""
+    """Write a good map; return the contents of its archive, to be changed."""
     write_map(path, example())
     return read_archive(path)
 
@@ -266,7 +266,7 @@ def written(path: Path, parts: Archive) -> Path:
     return path
 
 
-FILE_FAULTS: dict[str, tuple[dict[str, NDArray], str]] = FAULTS | {
+FILE_FAULTS: dict[str, tuple[dict[str, NDArray[Any]], str]] = FAULTS | {
     'planes': ({'splats': np.zeros((13, 5), np.float32)}, r'planes are \(13, 5\), not'),
     'halves': ({'splats': np.zeros((14, 5))}, 'planes are float64, not float32'),
     'stamps': ({'stamps_ns': np.zeros(2)}, 'stamps_ns is float64'),
@@ -318,7 +318,7 @@ BAD_METADATA: dict[str, tuple[str, Any, str]] = {
     'a word': ('camera', CAMERA | {'fx': 'long'}, "camera is not usable: ValueError: .*'long'"),
     'beyond double': ('camera', CAMERA | {'fx': 10**400}, 'camera is not usable: OverflowError'),
     'one coefficient': ('camera', CAMERA | {'distortion': [1.0]}, 'distortion has 1 numbers'),
-    'tiny': ('camera', CAMERA | {'height': 1}, '64x1 pixels is too small'),
+    'tiny': ('camera', CAMERA | {'height': 1}, '64x1 pixels is smaller than 16x16'),
 }
 
 
@@ -360,7 +360,7 @@ def test_what_is_no_archive_or_cannot_be_written_is_said(
 
 @contextlib.contextmanager
 def bounded_memory(file_size: int) -> Iterator[None]:
-    """Assert that what is run takes no more than a few times the file's size."""
+    """Assert that the block takes no more than a few times the file's size."""
     tracemalloc.start()
     try:
         yield
@@ -371,7 +371,7 @@ def bounded_memory(file_size: int) -> Iterator[None]:
 
 
 def read_or_refused(path: Path) -> bool:
-    """Read, within the bounds of memory; anything but a `MapFileError` passes through."""
+    """Read within the bounds of memory; return whether that raised no `MapFileError`."""
     with bounded_memory(path.stat().st_size):
         try:
             read_map(path)
@@ -399,7 +399,7 @@ def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_forged_parts_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
-    """Damage numbers and settings in archives that are sound as such."""
+    """Damage numbers and settings in archives that are otherwise valid."""
     path, rng, read = tmp_path / 'a', np.random.default_rng(3), 0
     parts = parts_of(path)
     text = json.dumps(parts.metadata).encode()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Gaussians as PLY: bit for bit there and back, and nothing hostile gets further than an error."""
+"""PLY files read back bit for bit, and damaged or hostile ones are refused."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 from dcgs_ros.core.mapping.splats import PLANES, Splats
 from dcgs_ros.io.ply import PlyError, read_ply, write_ply
@@ -46,7 +47,7 @@ def header(*lines: str, order: str = 'little') -> bytes:
 
 @contextlib.contextmanager
 def bounded_memory(file_size: int) -> Iterator[None]:
-    """Assert that what is run takes no more than a few times the file's size."""
+    """Assert that the block takes no more than a few times the file's size."""
     tracemalloc.start()
     try:
         yield
@@ -65,7 +66,7 @@ def assert_same(found: Splats, expected: Splats) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 5).flatmap(lambda n: arrays(np.float32, (14, n), elements=FLOATS)))
 def test_written_then_read_is_the_same_bit_for_bit(
-    tmp_path_factory: pytest.TempPathFactory, planes: np.ndarray
+    tmp_path_factory: pytest.TempPathFactory, planes: NDArray[np.float32]
 ) -> None:
     path = tmp_path_factory.mktemp('round') / 'map.ply'
     write_ply(path, Splats(planes))

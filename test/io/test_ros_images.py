@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dcgs_ros.core.camera import CameraError, PinholeCamera
 from dcgs_ros.io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
@@ -35,7 +36,7 @@ LAYOUTS = st.fixed_dictionaries(
 
 
 def image(
-    pixels: np.ndarray,
+    pixels: NDArray[Any],
     encoding: str,
     big: bool = False,
     padding: int = 0,
@@ -266,7 +267,7 @@ FUZZED = {
 @settings(max_examples=300)
 @given(st.fixed_dictionaries(FUZZED), st.sampled_from([read_color, read_depth]))
 def test_any_image_is_read_or_refused(
-    fields: dict[str, Any], read: Callable[[Any], np.ndarray]
+    fields: dict[str, Any], read: Callable[[Any], NDArray[Any]]
 ) -> None:
     try:
         pixels = read(SimpleNamespace(**fields))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A running map as files keep it: with the tracker beside the mapper, or in another process."""
+"""Taking a map of a running mapper, with the tracker in the same or another process."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.splats import Splats
-from dcgs_ros.core.mapping.views import Images, KeyframeView
+from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.io.map_archive import read_map, write_map
@@ -29,7 +30,7 @@ ELEMENTS = np.triu_indices(3)
 
 
 def mapper_with(per_view: int = 20, views: int = 3) -> Mapper:
-    """Some of the tracker's Gaussians, ids 100 host + k, and own ones; poses refined since."""
+    """Return a mapper with Gaussians of the tracker (ids 100 host + k) and its own."""
     workers, rng = Workers(1), np.random.default_rng(4)
     mapper = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
     own = -1
@@ -50,7 +51,7 @@ def mapper_with(per_view: int = 20, views: int = 3) -> Mapper:
 
 
 def expected_covariance(mapper: Mapper, column: int) -> NDArray[np.float64]:
-    """S(u, z; p) of the ray from where the tracker had the host to where it had the Gaussian."""
+    """Return S(u, z; p) of the ray from the host to the Gaussian, both as tracked."""
     table, config = mapper.table, mapper.config
     host = mapper.views[table.hosts[column]].T_tracked[:3, 3]
     ray = table.measured[:, column] - host
@@ -81,7 +82,7 @@ def test_what_the_tracker_measured_is_known_from_the_hosts() -> None:
 
 @pytest.mark.filterwarnings('error')
 def test_what_has_no_covariance_is_not_measured_and_spoils_nothing(tmp_path: Path) -> None:
-    """At the viewpoint itself, or so far off that float32 ends."""
+    """At the viewpoint itself, or too far away for float32."""
     mapper, good = mapper_with(), mapper_with()
     table = mapper.table
     table.measured[:, 1] = mapper.views[0].T_tracked[:3, 3].astype(np.float32)
@@ -134,7 +135,7 @@ def test_poisoned_gaussians_are_not_saved() -> None:
 
 
 def test_beside_a_tracker_what_it_has_counts() -> None:
-    """Its viewpoints, which are of the last observation; NaN of what it has not any more."""
+    """Viewpoints are those of the last observation; NaN for removed Gaussians."""
     mapper = mapper_with(per_view=8, views=1)
     tracker = Tracker(CAMERA)
     rng, n = np.random.default_rng(5), 8

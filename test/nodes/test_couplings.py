@@ -23,7 +23,7 @@ from rclpy.node import Node
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
-from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.nodes import mapper, tracker
 from dcgs_ros.nodes.mapper import MapperNode
 from dcgs_ros.nodes.messages.images import header

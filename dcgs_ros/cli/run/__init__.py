@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs run`: a sequence through tracker and mapper, into a folder."""
+"""`dcgs run`: track and map a sequence into a new folder."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ...datasets.open import open_source
 from ...datasets.source import SourceError
 from ...evaluation.report import RunRecord
 from ..arguments import RunArguments, UsageError
+from ..folders import create_folder, refuse_used
 from ..stopping import StopSignals
 from .configuration import configure
-from .outputs import create_folder, refuse_used
-from .pipeline import start, threads_of_mapper
+from .pipeline import mapper_threads, start
 from .session import Session
 
 
 def execute(arguments: RunArguments) -> int:
-    """Track and map the sequence; what has been done is written however it ends."""
+    """Run the sequence and return the exit status; what was computed is written in any case."""
     _check(arguments)
     source = open_source(arguments.source, arguments.camera, arguments.groundtruth)
     config = configure(source.sensor, arguments)
@@ -28,18 +28,18 @@ def execute(arguments: RunArguments) -> int:
     record = RunRecord(source.name, config.ablation, arguments.source, arguments.camera)
     total = min(len(source), arguments.max_frames or len(source))
     try:
-        with closing(Workers(threads_of_mapper(config, arguments.online))) as workers:
-            slam = start(source.camera, config, arguments.mapping, arguments.online, workers)
-            session = Session(source, slam, record, folder)
+        with closing(Workers(mapper_threads(config, arguments.online))) as workers:
+            pipeline = start(source.camera, config, arguments.mapping, arguments.online, workers)
+            session = Session(source, pipeline, record, folder)
             with StopSignals() as stop:
-                session.follow(total, lambda: stop.status != 0)
+                session.process(total, lambda: stop.status != 0)
                 if record.tracked:
                     session.save()
             if record.tracked:
                 session.evaluate(arguments.render_every, workers)
-        session.salvage.settle()
+        session.deferred.raise_first()
     finally:
-        with contextlib.suppress(OSError):  # which says that it is not empty, as it should be
+        with contextlib.suppress(OSError):  # it is not empty unless nothing was written
             folder.rmdir()
     if stop.status == 0 and not record.tracked:
         raise SourceError(_no_usable_frame(record))
@@ -47,6 +47,7 @@ def execute(arguments: RunArguments) -> int:
 
 
 def _check(arguments: RunArguments) -> None:
+    """Raise `UsageError` or `FolderError` before anything is read or written."""
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise UsageError(f'--max-frames {arguments.max_frames}: at least one frame is needed')
     if arguments.render_every < 0:

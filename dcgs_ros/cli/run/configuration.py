@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The configuration of a run, from all that has a say in it."""
+"""The configuration of a run: defaults, overridden by presets, file and flags."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from ...core.config.schema import ConfigError, override
 from ...core.config.stages import Config
 from ...core.sensor import SensorNoise
 from ...io.config_file import apply_file
-from ..arguments import RunArguments, UsageError
-
-# What --quality asks of the mapper: more steps, and for those also more Gaussians and views.
+from ..arguments import RunArguments
 
 
 def configure(sensor: SensorNoise, arguments: RunArguments) -> Config:
-    """Layer sensor, --quality, --online, the file, --ablation and --set, the last on top."""
-    if arguments.quality not in QUALITIES:
-        raise UsageError(f'--quality {arguments.quality}: one of {", ".join(QUALITIES)}')
+    """Apply --quality, --online, --config, --ablation and --set, each overriding those before.
+
+    Raises `ConfigError` for an unknown setting or a value that it cannot have.
+    """
     config = override(Config(sensor=sensor), QUALITIES[arguments.quality])
     if arguments.online:
         config = override(config, ONLINE)
@@ -25,10 +24,12 @@ def configure(sensor: SensorNoise, arguments: RunArguments) -> Config:
         config = apply_file(config, arguments.config)
     if arguments.ablation is not None:
         config = override(config, {'ablation': arguments.ablation})
-    values: dict[str, str] = {}
-    for text in (text for group in arguments.settings for text in group):
-        key, equals, value = text.partition('=')
-        if not equals:
-            raise ConfigError(f'--set {text}: expected stage.field=value')
-        values[key.strip()] = value.strip()
-    return override(config, values)
+    texts = [text for group in arguments.settings for text in group]
+    return override(config, dict(_key_and_value(text) for text in texts))
+
+
+def _key_and_value(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition('=')
+    if not equals:
+        raise ConfigError(f'--set {text}: expected stage.field=value')
+    return key.strip(), value.strip()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What has been computed is written, though a part of the run failed."""
+"""Errors held back so that the other parts of a run still write their results."""
 
 from __future__ import annotations
 
@@ -8,19 +8,16 @@ from types import TracebackType
 
 
 class DeferredErrors:
-    """Holds failures back, so that the next part has its turn; `settle` raises the first one.
-
-    Each part stands in a `with` of its own.
-    """
+    """Context manager for each part of a run: its error is kept, and raised by `raise_first`."""
 
     def __init__(self) -> None:
-        """Nothing has failed yet."""
-        self._failure: BaseException | None = None
+        """Start without an error."""
+        self._first: BaseException | None = None
 
     @property
     def failed(self) -> bool:
         """Whether any part has failed so far."""
-        return self._failure is not None
+        return self._first is not None
 
     def __enter__(self) -> DeferredErrors:
         """Begin a part."""
@@ -32,11 +29,11 @@ class DeferredErrors:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> bool:
-        """Keep the part's failure; the signal to stop at once is one too."""
-        self._failure = self._failure or error
+        """Keep the part's error, a `KeyboardInterrupt` too."""
+        self._first = self._first or error
         return True
 
-    def settle(self) -> None:
-        """Raise the first failure, if there was one."""
-        if self._failure is not None:
-            raise self._failure
+    def raise_first(self) -> None:
+        """Raise the first error, if there was one."""
+        if self._first is not None:
+            raise self._first

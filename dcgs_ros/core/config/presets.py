@@ -1,14 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Settings that go together: `--online` and `--quality`."""
+"""Named choices: the ablations, and the settings that `--quality` and `--online` change.
+
+The command line's `--help` lists them, so this module imports nothing heavy.
+"""
 
 from __future__ import annotations
 
-# What changes where the mapper runs free: the clock leaves fewer steps, so fewer views share them,
-# and more of them are coarse.
+from typing import Literal
+
+Ablation = Literal['full', 'sigma_t', 'shared', 'shared_klt']
+Quality = Literal['draft', 'default', 'high']
+
+# With the mapper in its own thread the clock leaves fewer steps: fewer views share them, and more
+# of them are at reduced resolution.
 ONLINE: dict[str, float] = {'mapping.view_interval': 6, 'mapping.coarse_share': 0.8}
 
-QUALITIES: dict[str, dict[str, float]] = {
+QUALITIES: dict[Quality, dict[str, float]] = {
     'draft': {'mapping.steps_per_frame': 1, 'mapping.final_steps': 100},
     'default': {},
     'high': {

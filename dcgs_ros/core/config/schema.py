@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How settings are declared, walked and overridden; YAML, ROS parameters and flags use it."""
+"""Declaration, listing and overriding of settings, for YAML, ROS parameters and CLI flags."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from typing import Any, Literal, TypeVar
 
 from ..errors import DcgsError
 
-_NOTHING = ('auto', 'none', 'null', '')  # None as text
+_NONE = ('auto', 'none', 'null', '')  # how None is written as text
 _KINDS = {int: 'a finite int', float: 'a finite float', bool: 'true or false', str: 'text'}
 
 
 class ConfigError(DcgsError):
-    """A key that does not exist or a value that its field cannot hold."""
+    """A setting that does not exist, or a value of the wrong type or out of range."""
 
 
 def ranged(default: Any, low: float, high: float, doc: str) -> Any:
-    """Field with the range of its values; `None`, where the type admits it, is always allowed.
+    """Return a field with a range of values; `None` is allowed too if its type includes it.
 
-    `doc` says what it is and in which unit: it is the manual that `ros2 param describe` shows.
+    `doc` says what it is and in which unit: `ros2 param describe` shows it.
     """
     return field(default=default, metadata={'range': (low, high), 'doc': doc})
 
 
 def described(default: Any, doc: str) -> Any:
-    """Field without a range: text, a choice, yes or no."""
+    """Return a field without a range: text, a choice, or a bool."""
     return field(default=default, metadata={'doc': doc})
 
 
 class Stage:
-    """Base of the configurations: checks the ranges."""
+    """Base class of the settings of a stage: checks the ranges."""
 
     def __post_init__(self) -> None:
-        """Refuse a value out of its range."""
+        """Raise `ConfigError` for a value out of its range."""
         for f in dataclasses.fields(self):  # type: ignore[arg-type]
             value = getattr(self, f.name)
             if value is None or 'range' not in f.metadata:
@@ -53,19 +53,19 @@ S = TypeVar('S', bound=Stage)
 
 @dataclass(frozen=True)
 class Setting:
-    """One field of a configuration, whatever stage it is in."""
+    """One setting of any stage."""
 
     key: str  # stage.field
     value: Any
     kind: type  # int, float, bool or str
-    choices: tuple[str, ...]  # all that it may be; empty: anything of its kind and range
+    choices: tuple[str, ...]  # the allowed values; empty: any of its kind and range
     optional: bool  # may be None
     range: tuple[float, float] | None
     doc: str
 
 
 def settings(config: Any, prefix: str = '') -> Iterator[Setting]:
-    """Walk the fields, stage by stage."""
+    """Yield all settings, stage by stage."""
     hints = typing.get_type_hints(type(config))
     for f in dataclasses.fields(config):
         key, value = prefix + f.name, getattr(config, f.name)
@@ -86,14 +86,14 @@ def settings(config: Any, prefix: str = '') -> Iterator[Setting]:
 
 
 def flatten(config: Any) -> dict[str, Any]:
-    """Walk the fields: {'stage.field': value}."""
+    """Return all settings as {'stage.field': value}."""
     return {setting.key: setting.value for setting in settings(config)}
 
 
 def override(config: S, values: Mapping[str, Any]) -> S:
-    """Copy of `config` with {'stage.field': value} replaced; values may be text.
+    """Return a copy of `config` with {'stage.field': value} replaced; values may be text.
 
-    Raises `ConfigError` for an unknown key (with the valid ones) or a value of the wrong type.
+    Raises `ConfigError` for an unknown key (it lists the valid ones) or a value of the wrong type.
     """
     known = {setting.key: setting for setting in settings(config)}
     for key in values:
@@ -103,7 +103,7 @@ def override(config: S, values: Mapping[str, Any]) -> S:
 
 
 def nested(values: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Flatten nested mappings, as YAML gives them, into {'stage.field': value}."""
+    """Return nested mappings, as read from YAML, as {'stage.field': value}."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -125,12 +125,12 @@ def _replace(config: Any, values: Mapping[str, Any], prefix: str) -> Any:
 
 
 def _converted(value: Any, setting: Setting) -> Any:
-    """Read `value`, text or not, as the setting's type."""
+    """Return `value`, which may be text, as the setting's type."""
     if setting.choices:
         if value not in setting.choices:
             raise ConfigError(f'{setting.key} is {value!r}, not one of {setting.choices}')
         return value
-    if setting.optional and (value is None or str(value).lower() in _NOTHING):
+    if setting.optional and (value is None or str(value).lower() in _NONE):
         return None
     try:
         if setting.kind is str:
@@ -153,7 +153,7 @@ def _truth(value: Any) -> bool:
 
 
 def _number(value: Any, kind: type) -> float:
-    """Read a finite number; integers may be written as 2.0."""
+    """Return a finite number; an integer may be written as 2.0."""
     number = float(value)
     if isinstance(value, bool) or not math.isfinite(number):
         raise ValueError

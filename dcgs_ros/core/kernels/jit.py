@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the package compiles its kernels: Numba, cached on disk, GIL released, deterministic.
+"""Numba decorators of the package: cached on disk, GIL released, deterministic.
 
-Parallel kernels split their work into CHUNKS fixed pieces, and sums are added up piece by piece,
-so the result does not depend on the number of threads.
+Parallel kernels split their work into CHUNKS fixed pieces and sums are added up piece by piece,
+so that the result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import os
 from functools import partial
 from pathlib import Path
 
-# An OpenMP team that spins between kernels starves the decoder, the mapper and the camera driver
-# (measured: 8x on the median association). Read by libgomp when numba loads it, so before that.
+# OpenMP threads that spin between kernels slow down the decoder, the mapper and the camera driver
+# (measured: 8x on the median association). libgomp reads these when numba loads it.
 os.environ.setdefault('OMP_WAIT_POLICY', 'PASSIVE')
 os.environ.setdefault('GOMP_SPINCOUNT', '0')
 
@@ -23,18 +23,19 @@ import numba
 
 CHUNKS = 16
 
-# Files that kernels of other files take constants or code from.
+# Files whose constants or functions are compiled into kernels of other files.
 _INLINED = (
-    'kernels/jit.py', 'kernels/lens.py', 'kernels/small_matrix.py', 'mapping/splats.py',
-    'render/renderer.py', 'render/simd.py', 'render/blending.py', 'render/projection.py',
+    'kernels/jit.py', 'kernels/lens.py', 'kernels/small_matrix.py', 'mapping/rectification.py',
+    'mapping/splats.py', 'render/renderer.py', 'render/simd.py', 'render/blending.py',
+    'render/projection.py',
 )  # fmt: skip
 
 
 def _separate_cache() -> None:
-    """Give each version of the inlined functions a cache of its own.
+    """Use a cache folder named by the contents of the inlined files.
 
-    Numba stamps a cached kernel with its own file only: a function inlined from another file may
-    change without the kernel being compiled again.
+    Numba compares a cached kernel with the time stamp of its own file only, so it would not notice
+    that a function inlined from another file has changed.
     """
     if numba.config.CACHE_DIR:
         return
@@ -46,31 +47,30 @@ def _separate_cache() -> None:
 
 _separate_cache()
 
-# No fast-math: a NaN must stay a NaN. Contraction and reassociation are what pays.
+# Not all of fast-math: NaN must stay NaN. Contraction and reassociation give nearly all the speed.
 _MATH = {'contract', 'reassoc', 'nsz', 'arcp'}
 kernel = partial(numba.njit, cache=True, nogil=True, fastmath=_MATH)
 parallel_kernel = partial(kernel, parallel=True)
-# Without Python's check for a division by zero, which keeps loops from being vectorised.
+# Without Python's check for division by zero, which prevents vectorisation.
 fast_kernel = partial(kernel, error_model='numpy')
-# Numba puts a kernel's flags on every instruction in it, those of hand-written IR included, which
-# brings its own (`render.simd`).
+# No flags: Numba would also put them on hand-written IR, which sets its own (`render.simd`).
 strict_kernel = partial(numba.njit, cache=True, nogil=True, error_model='numpy')
 strict_inlined = partial(numba.njit, inline='always', error_model='numpy')
 inlined = partial(numba.njit, inline='always', fastmath=_MATH)
 
 
 def set_threads(count: int | None) -> int:
-    """Choose the threads of OpenCV and of the kernels that the caller starts; tell how many."""
+    """Set the number of threads of OpenCV and of the caller's kernels; return it."""
     count = set_kernel_threads(count)
     cv2.setNumThreads(count)
     return count
 
 
 def set_kernel_threads(count: int | None) -> int:
-    """Choose the threads of the kernels that the calling thread starts; tell how many.
+    """Set the number of threads of the kernels that the calling thread starts; return it.
 
-    `None` leaves one core to whoever brings the frames: threads wait for the slowest of them, so
-    sharing the last core with a decoder costs more than it gains.
+    `None` leaves one core free for the source of the frames: kernels wait for their slowest
+    thread, so sharing the last core with a decoder costs more than it gains.
     """
     available: int = numba.config.NUMBA_NUM_THREADS
     count = max(1, available - 1) if count is None else max(1, min(count, available))

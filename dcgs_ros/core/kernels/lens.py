@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Brown-Conrady distortion as OpenCV defines it, for single points inside the kernels.
+"""Brown-Conrady distortion as OpenCV defines it.
 
-`camera` is `PinholeCamera.parameters`: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6.
+`camera` is `PinholeCamera.parameters`, (12,) float64: fx fy cx cy in pixels, then
+k1 k2 p1 p2 k3 k4 k5 k6.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ import numpy as np
 
 from .jit import inlined, kernel
 
-_STEPS = 30  # the fixed point halves its error at least; a wide lens' corner needs about 20
+_STEPS = 30  # each at least halves the error; the corner of a wide-angle image needs about 20
 
 
 @inlined
 def distortion_at(camera, x, y):
-    """Radial factor and tangential shift at normalised coordinates: x_d = x radial + shift_x."""
+    """Return the radial factor and the tangential shift: x_d = x radial + shift_x.
+
+    `camera` (12,); x and y are undistorted normalised coordinates x/z, y/z.
+    """
     p1, p2 = camera[6], camera[7]
     r2 = x * x + y * y
     radial = (1.0 + r2 * (camera[4] + r2 * (camera[5] + r2 * camera[8]))) / (
@@ -29,7 +33,10 @@ def distortion_at(camera, x, y):
 
 @kernel
 def project(camera, points):
-    """Points (N, 3) with z > 0 in the camera frame to distorted pixels (N, 2)."""
+    """Return distorted pixels (N, 2) float32 of points (N, 3) with z > 0 in the camera frame.
+
+    `camera` (12,); points may be in metres or normalised.
+    """
     pixels = np.empty((points.shape[0], 2), np.float32)
     for i in range(points.shape[0]):
         x, y = points[i, 0] / points[i, 2], points[i, 1] / points[i, 2]
@@ -41,7 +48,10 @@ def project(camera, points):
 
 @kernel
 def undistort(camera, pixels):
-    """Distorted pixels (N, 2) to undistorted x/z, y/z (N, 2), by fixed-point iteration."""
+    """Return undistorted x/z, y/z (N, 2) float32 of distorted pixels (N, 2).
+
+    `camera` (12,). Solved by fixed-point iteration.
+    """
     rays = np.empty((pixels.shape[0], 2), np.float32)
     for i in range(pixels.shape[0]):
         target_x = (pixels[i, 0] - camera[2]) / camera[0]

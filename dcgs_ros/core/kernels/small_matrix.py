@@ -11,7 +11,7 @@ from .jit import inlined
 
 @inlined
 def inverse_symmetric(xx, xy, xz, yy, yz, zz):
-    """Inverse of a positive definite symmetric matrix, as its six scalars."""
+    """Return the inverse (xx, xy, xz, yy, yz, zz) of a positive definite matrix of scalars."""
     c_xx = yy * zz - yz * yz
     c_xy = xz * yz - xy * zz
     c_xz = xy * yz - xz * yy
@@ -28,7 +28,7 @@ def inverse_symmetric(xx, xy, xz, yy, yz, zz):
 
 @inlined
 def eigenvalues_symmetric(xx, xy, xz, yy, yz, zz):
-    """Eigenvalues in descending order, by the trigonometric solution of the cubic."""
+    """Return the three eigenvalues in descending order (trigonometric solution of the cubic)."""
     mean = (xx + yy + zz) / 3.0
     off = xy * xy + xz * xz + yz * yz
     p2 = (xx - mean) ** 2 + (yy - mean) ** 2 + (zz - mean) ** 2 + 2.0 * off
@@ -46,10 +46,10 @@ def eigenvalues_symmetric(xx, xy, xz, yy, yz, zz):
 
 @inlined
 def smallest_eigenvector(xx, xy, xz, yy, yz, zz, smallest):
-    """Find the unit eigenvector of the smallest eigenvalue; (0, 0, 1) where none stands out.
+    """Return the unit eigenvector x, y, z of the smallest eigenvalue, which is given.
 
-    The rows of M - lambda I span the plane across it: the longest of their cross products is the
-    best conditioned.
+    It is (0, 0, 1) if that eigenvalue is not distinct. The rows of M - lambda I are orthogonal to
+    it: the longest of their cross products is the best conditioned.
     """
     a, b, c = xx - smallest, yy - smallest, zz - smallest
     x0, y0, z0 = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy

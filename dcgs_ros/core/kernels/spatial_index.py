@@ -1,6 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Nearest neighbours among moving, growing points: a voxel hash with a chain in each cell."""
+"""Nearest neighbours in a changing set of points: a hash of voxels, each with a list of points.
+
+The kernels share these arrays: `keys` (C,) int64 packed cell coordinates, or -1 in an empty place;
+`heads` (C,) int32 the first slot of each cell's list, or -1; `chain` (M,) int32 the next slot in
+the list, or -1; `points` (M, 3) float32 metres, by slot. C is a power of two.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +19,18 @@ from .jit import CHUNKS, inlined, kernel, parallel_kernel
 
 _EMPTY = -1
 _MAX_LOAD = 0.5
-_OFFSET = 1 << 20  # cell coordinates are packed in 21 bits each
+_OFFSET = 1 << 20  # cell coordinates are packed into 21 bits each
 
 
 class VoxelIndex:
-    """Slots of points by the cell that holds them.
+    """Finds points by their position; a point is named by its slot, its row in an array.
 
-    A query of radius r is exact for any r; it is fastest with cell = 2 r. Ties go to the lower
-    slot, so results do not depend on the order of insertion.
+    A query of radius r is exact for any r, and fastest for cells of 2 r. Of equally near points
+    the lower slot wins, so that results do not depend on the order of insertion.
     """
 
     def __init__(self, cell_m: float) -> None:
-        """Start empty."""
+        """Start empty, with cells of `cell_m` metres a side."""
         self._inverse_cell = 1.0 / cell_m
         self._keys = np.full(1 << 12, _EMPTY, np.int64)
         self._heads = np.full(1 << 12, _EMPTY, np.int32)
@@ -33,7 +38,7 @@ class VoxelIndex:
         self._cells = 0
 
     def insert(self, points: NDArray[np.float32], slots: NDArray[np.int32]) -> None:
-        """Add `slots` of the (N, 3) array `points`."""
+        """Add the points `points[slots]`: (M, 3) metres and (N,) rows of it."""
         if not len(slots):
             return
         if slots.max() >= len(self._next):
@@ -47,14 +52,14 @@ class VoxelIndex:
         )
 
     def remove(self, points: NDArray[np.float32], slots: NDArray[np.int32]) -> None:
-        """Take `slots` out; `points` must still hold what they were inserted with."""
+        """Remove `slots` (N,); `points` (M, 3) must still hold what they were inserted with."""
         _remove(self._keys, self._heads, self._next, points, slots, self._inverse_cell)
 
     def _rehash(self, room: int) -> None:
-        """Leave the cells that have become empty behind, and make room for new ones."""
+        """Drop the cells that have become empty, and make room for `room` new ones."""
         live = int(np.count_nonzero(self._heads != _EMPTY))
         size = 1 << 12
-        while live + room > 0.5 * _MAX_LOAD * size:  # half full at most: rehashing stays rare
+        while live + room > 0.5 * _MAX_LOAD * size:  # at most half full: rehashing stays rare
             size *= 2
         keys = np.full(size, _EMPTY, np.int64)
         heads = np.full(size, _EMPTY, np.int32)
@@ -63,24 +68,27 @@ class VoxelIndex:
 
     def nearest(
         self,
-        points: NDArray[np.float32],  # (M, 3)
-        queries: NDArray[np.float32],  # (N, 3)
+        points: NDArray[np.float32],  # (M, 3) metres
+        queries: NDArray[np.float32],  # (N, 3) metres
         radius_m: float,
     ) -> NDArray[np.int32]:
-        """Slot of the nearest point within the radius of each query, else -1."""
+        """Return (N,) the slot of the nearest point within the radius of each query, or -1."""
         slots = np.full(len(queries), _EMPTY, np.int32)
         self.nearest_moved(points, queries, np.eye(4), radius_m, slots)
         return slots
 
     def nearest_moved(
         self,
-        points: NDArray[np.float32],  # (M, 3)
-        queries: NDArray[np.float32],  # (N, 3)
+        points: NDArray[np.float32],  # (M, 3) metres
+        queries: NDArray[np.float32],  # (N, 3) metres
         T: NDArray[np.float64],  # (4, 4) from the queries' frame to the points'
         radius_m: float,
-        slots: NDArray[np.int32],  # (N,) in: where the search may start, or -1; out: the answer
+        slots: NDArray[np.int32],  # (N,) in: first candidates, or -1; out: the result
     ) -> None:
-        """As `nearest`, with the queries moved by T, starting from the answers at a near pose."""
+        """Write what `nearest` returns for the queries moved by T into `slots`.
+
+        The result at a nearby pose is a good first candidate: it shortens the search.
+        """
         _nearest(
             queries, T, radius_m, self._keys, self._heads, self._next, points,
             self._inverse_cell, slots,
@@ -88,13 +96,13 @@ class VoxelIndex:
 
     def covered(
         self,
-        points: NDArray[np.float32],  # (M, 3)
-        queries: NDArray[np.float32],  # (N, 3)
+        points: NDArray[np.float32],  # (M, 3) metres
+        queries: NDArray[np.float32],  # (N, 3) metres
         rays: NDArray[np.float32],  # (N, 3) unit
-        across_m: NDArray[np.float32],  # (N,)
-        along_m: NDArray[np.float32],  # (N,)
+        across_m: NDArray[np.float32],  # (N,) radius of the cylinder
+        along_m: NDArray[np.float32],  # (N,) half of its length
     ) -> NDArray[np.bool_]:
-        """Tell which queries have a point within a cylinder about their ray."""
+        """Return (N,) whether a point lies in the cylinder about each query, along its ray."""
         out = np.empty(len(queries), np.bool_)
         _covered(
             queries, rays, across_m, along_m, self._keys, self._heads, self._next, points,
@@ -105,22 +113,25 @@ class VoxelIndex:
 
 @inlined
 def _cell(x, inverse_cell):
+    """Return the cell coordinate of x, metres, along one axis; `inverse_cell` in 1/metre."""
     return int(math.floor(x * inverse_cell))
 
 
 @inlined
 def _key(ix, iy, iz):
+    """Return three cell coordinates packed into one int64."""
     return ((ix + _OFFSET) << 42) | ((iy + _OFFSET) << 21) | (iz + _OFFSET)
 
 
 @inlined
 def _key_at(x, y, z, inverse_cell):
+    """Return the key of the cell that contains a point, metres."""
     return _key(_cell(x, inverse_cell), _cell(y, inverse_cell), _cell(z, inverse_cell))
 
 
 @inlined
 def _find(keys, key):
-    """Place of `key`, or the empty place where it belongs."""
+    """Return the place of `key` in `keys` (C,), or the empty place where it belongs."""
     mask = keys.shape[0] - 1
     mixed = np.uint64(key)
     mixed ^= mixed >> np.uint64(33)
@@ -134,6 +145,10 @@ def _find(keys, key):
 
 @kernel
 def _insert(keys, heads, chain, points, slots, inverse_cell):
+    """Put `slots` (N,) at the heads of their cells' lists; return the number of new cells.
+
+    Writes `keys` (C,), `heads` (C,) and `chain` (M,); reads `points` (M, 3) metres.
+    """
     created = 0
     for slot in slots:
         key = _key_at(points[slot, 0], points[slot, 1], points[slot, 2], inverse_cell)
@@ -148,6 +163,10 @@ def _insert(keys, heads, chain, points, slots, inverse_cell):
 
 @kernel
 def _remove(keys, heads, chain, points, slots, inverse_cell):
+    """Take `slots` (N,) out of their cells' lists.
+
+    Writes `heads` (C,) and `chain` (M,); reads `keys` (C,) and `points` (M, 3) metres.
+    """
     for slot in slots:
         key = _key_at(points[slot, 0], points[slot, 1], points[slot, 2], inverse_cell)
         place = _find(keys, key)
@@ -164,9 +183,13 @@ def _remove(keys, heads, chain, points, slots, inverse_cell):
 
 @kernel
 def _move_cells(keys, heads, new_keys, new_heads):
+    """Copy the cells that hold points to another table; return their number.
+
+    Reads `keys`, `heads` (C,); writes `new_keys`, `new_heads` (C',), which start out empty.
+    """
     count = 0
     for old in range(keys.shape[0]):
-        if heads[old] == _EMPTY:  # cells that have become empty are left behind here
+        if heads[old] == _EMPTY:
             continue
         place = _find(new_keys, keys[old])
         new_keys[place] = keys[old]
@@ -177,13 +200,17 @@ def _move_cells(keys, heads, new_keys, new_heads):
 
 @inlined
 def _gap(x, i, cell):
-    """Distance along one axis from x to the cell's interval."""
+    """Return the distance, metres, along one axis from x to the interval of cell i."""
     return max(0.0, max(i * cell - x, x - (i + 1) * cell))
 
 
 @inlined
 def _closest_in(place, x, y, z, best, best_slot, heads, chain, points):
-    """Closest point in the chain of one cell, if it beats the best so far."""
+    """Return the least squared distance to (x, y, z), square metres, and its slot.
+
+    Starts from `best` and `best_slot` and looks through the list of the cell at `place`; reads
+    `heads` (C,), `chain` (M,) and `points` (M, 3) metres.
+    """
     slot = heads[place]
     while slot != _EMPTY:
         dx, dy, dz = points[slot, 0] - x, points[slot, 1] - y, points[slot, 2] - z
@@ -196,6 +223,11 @@ def _closest_in(place, x, y, z, best, best_slot, heads, chain, points):
 
 @parallel_kernel
 def _nearest(queries, T, radius, keys, heads, chain, points, inverse_cell, slots):
+    """Write into `slots` (N,) the nearest point of each query, or -1; it holds first candidates.
+
+    `queries` (N, 3) metres are moved by `T` (4, 4); `radius` in metres. Reads `keys`, `heads`
+    (C,), `chain` (M,) and `points` (M, 3) metres.
+    """
     n = queries.shape[0]
     cell = 1.0 / inverse_cell
     for chunk in prange(CHUNKS):
@@ -211,7 +243,7 @@ def _nearest(queries, T, radius, keys, heads, chain, points, inverse_cell, slots
                 d = dx * dx + dy * dy + dz * dz
                 if d < best:
                     best, best_slot = d, slot
-            # The query's own cell first: what it yields shrinks the reach to few other cells.
+            # The query's own cell first: a near point there leaves few other cells to search.
             own = _key_at(x, y, z, inverse_cell)
             place = _find(keys, own)
             if keys[place] != _EMPTY:
@@ -245,6 +277,11 @@ def _nearest(queries, T, radius, keys, heads, chain, points, inverse_cell, slots
 
 @parallel_kernel
 def _covered(queries, rays, across, along, keys, heads, chain, points, inverse_cell, out):
+    """Write into `out` (N,) bool whether a point is in the cylinder about each query.
+
+    `queries` (N, 3) metres, `rays` (N, 3) unit, `across` and `along` (N,) metres. Reads `keys`,
+    `heads` (C,), `chain` (M,) and `points` (M, 3) metres.
+    """
     n = queries.shape[0]
     for chunk in prange(CHUNKS):
         for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the mapper found out about its views, carried over to the frames between them."""
+"""The pose corrections and exposures of the mapper's views, interpolated to other frames."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .losses import Exposure
+from .exposure import Exposure
 
 
 class Corrections:
     """Pose corrections and exposures of at least one view, interpolated in time.
 
-    A correction C is on the right, T_world_cam = T_tracked C: of the camera, wherever it is.
+    A correction C is on the right, T_world_cam = T_tracked C: a motion in the camera's own frame.
     """
 
     def __init__(
         self,
         stamps_ns: NDArray[np.int64],  # (K,) rising
-        T_tracked: NDArray[np.float64],  # (K, 4, 4) T_world_cam as it was tracked
-        T_world_cam: NDArray[np.float64],  # (K, 4, 4) as the mapper has it
-        exposures: Sequence[Exposure],
+        T_tracked: NDArray[np.float64],  # (K, 4, 4) T_world_cam of the tracker
+        T_world_cam: NDArray[np.float64],  # (K, 4, 4) as the mapper refined it
+        exposures: Sequence[Exposure],  # K
     ) -> None:
-        """Take the logarithms."""
+        """Compute the logarithms of the corrections."""
         self._first_ns = int(stamps_ns[0])
         self._times = (stamps_ns - self._first_ns).astype(np.float64)
         pairs = zip(T_tracked, T_world_cam, strict=True)
@@ -35,14 +35,18 @@ class Corrections:
         self._offsets = np.array([exposure.offset for exposure in exposures])
 
     def pose(self, stamp_ns: int, T_tracked: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pose in the mapper's world; the first and the last correction hold beyond them."""
+        """Return (4, 4) the pose in the mapper's world of a frame tracked at `T_tracked`.
+
+        Before the first and after the last view, their correction is used.
+        """
         return T_tracked @ se3.exp(self._at(stamp_ns, self._logs))
 
     def exposure(self, stamp_ns: int) -> Exposure:
-        """Exposure at an instant."""
+        """Return the exposure at an instant."""
         gain, offset = (self._at(stamp_ns, values) for values in (self._gains, self._offsets))
         return Exposure(gain.astype(np.float32), offset.astype(np.float32))
 
-    def _at(self, stamp_ns: int, values: NDArray) -> NDArray[np.float64]:
+    def _at(self, stamp_ns: int, values: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return (D,) each column of `values` (K, D) at an instant."""
         time = float(stamp_ns - self._first_ns)
         return np.array([np.interp(time, self._times, column) for column in values.T])

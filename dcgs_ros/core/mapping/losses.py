@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far a rendering is from its keyframe, and the gradient of that by every rendered pixel.
+"""The difference of a rendering from its keyframe, and its gradient by every rendered pixel.
 
 Colour is compared by L1 and by SSIM (Wang et al. 2004) with the window of 3D Gaussian Splatting:
 11 x 11, Gaussian of sigma 1.5, zeros beyond the border. Depth is compared by L1.
@@ -14,6 +14,7 @@ y, SSIM = S(mx, E[xx + yy], E[xy]), and since the window is symmetric
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import DcgsError
 from ..kernels.jit import kernel
 from ..kernels.workers import PIECES, Workers
+from .exposure import Exposure
 
 _RADIUS = 5  # pixels: the window is 11 x 11
 _WINDOW = 2 * _RADIUS + 1
@@ -28,12 +30,12 @@ _SIGMA = 1.5  # pixels
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)  # plain 2.0 is a double
 _INFINITY = np.float32(np.inf)
-_MOMENTS = 4  # of x, y, xx + yy and xy: SSIM needs the squares' sum only
-_SLOPES = 3  # of SSIM by the means of x, xx and xy
+_MOMENTS = 4  # blurred x, y, xx + yy and xy: SSIM needs only the sum of the squares
+_SLOPES = 3  # derivatives of SSIM by the blurred x, xx and xy
 
 
 def _half_window() -> tuple[np.float32, ...]:
-    """Weights of the window's pixels 0, 1 ... _RADIUS from its middle."""
+    """Return the weights of the window's pixels 0, 1 ... _RADIUS from its centre."""
     g = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _SIGMA) ** 2)
     return tuple(np.float32(weight) for weight in (g / g.sum())[_RADIUS:])
 
@@ -47,11 +49,11 @@ class LossError(DcgsError):
 
 @dataclass(frozen=True)
 class Target:
-    """What a keyframe should look like, planar."""
+    """The images of a keyframe that a rendering is compared with, planar."""
 
     color: NDArray[np.float32]  # (3, H, W) 0 to 1
-    depth_m: NDArray[np.float32]  # (H, W) metres; 0 or not finite: none
-    valid: NDArray[np.bool_]  # (H, W) pixels that count: undistortion leaves corners empty
+    depth_m: NDArray[np.float32]  # (H, W) metres; 0 or not finite: no depth
+    valid: NDArray[np.bool_]  # (H, W) pixels to compare: undistortion leaves corners empty
 
     def __post_init__(self) -> None:
         """Check shapes and types."""
@@ -61,42 +63,29 @@ class Target:
         _check('valid', self.valid, height_width, np.bool_)
 
 
-@dataclass(frozen=True)
-class Exposure:
-    """The camera's automatic exposure against the map: shown = gain * color + offset."""
-
-    gain: NDArray[np.float32]  # (3,)
-    offset: NDArray[np.float32]  # (3,)
-
-    def __post_init__(self) -> None:
-        """Check shapes and types."""
-        _check('gain', self.gain, (3,), np.float32)
-        _check('offset', self.offset, (3,), np.float32)
-
-
 class ImageLoss:
     """(1 - s) L1 + s (1 - SSIM) of the colours + w L1 of the depth, for images of one size.
 
-    L1 and SSIM are means over pixels and channels, the depth's L1 is one over all pixels. A pixel
-    that is not valid counts as rendered just right: nothing there changes the loss. Results do not
-    depend on the number of threads.
+    L1 and SSIM are means over pixels and channels, the depth's L1 is a mean over all pixels. A
+    pixel that is not valid counts as rendered without error, so it does not change the loss.
+    Results do not depend on the number of threads.
     """
 
     def __init__(
         self, width: int, height: int, ssim_weight: float, depth_weight: float, workers: Workers
     ) -> None:
-        """Make the buffers, 29 planes of the image's size. Raises `LossError` for no pixels."""
+        """Allocate the buffers, 29 planes of the image's size; `LossError` without pixels."""
         if width < 1 or height < 1:
-            raise LossError(f'image of {width}x{height} pixels')
+            raise LossError(f'an image of {width}x{height} pixels is empty')
         self._ssim_weight, self._depth_weight = ssim_weight, depth_weight
         self._workers = workers
         self._gradient = np.zeros((5, height, width), np.float32)
         self._shown = np.zeros((3, height, width), np.float32)
-        # Side by side in a row, so that one call blurs them all; zeros above and below the image.
+        # Side by side in a row, so that one call blurs all; zeros above and below the image.
         padded = height + 2 * _RADIUS
         self._moments = np.zeros((3, padded, _MOMENTS * width), np.float32)
         self._slopes = np.zeros((3, padded, _SLOPES * width), np.float32)
-        # What a piece has in hand: a row of each with zeros at both ends, and a blurred one.
+        # Work space of each piece: a row of each with zeros at both ends, and a blurred row.
         self._rows = np.zeros((PIECES, _MOMENTS, width + 2 * _RADIUS), np.float32)
         self._blurred = np.zeros((PIECES, _MOMENTS * width), np.float32)
         self._sums = np.zeros((PIECES, 3))  # of SSIM, |colour error| and |depth error|
@@ -108,14 +97,14 @@ class ImageLoss:
         exposure: Exposure,
         background: NDArray[np.float32],  # (3,) colour behind the Gaussians
     ) -> NDArray[np.float32]:
-        """Derive by `planes`: (5, H, W), valid until the next call; `value` is then the loss.
+        """Return the gradient by `planes`, (5, H, W), valid until the next call.
 
-        Raises `LossError` for another size or type.
+        `value` is then the loss. Raises `LossError` for arrays of another shape or type.
         """
         _check('planes', planes, self._gradient.shape, np.float32)
         _check('target', target.color, self._shown.shape, np.float32)
         _check('background', background, (3,), np.float32)
-        # Kernels vectorise along contiguous rows only.
+        # The kernels are vectorised only along contiguous rows.
         rendered, color = np.ascontiguousarray(planes), np.ascontiguousarray(target.color)
         depth_m, valid = np.ascontiguousarray(target.depth_m), np.ascontiguousarray(target.valid)
         run, pixels = self._workers.run, depth_m.size
@@ -136,7 +125,7 @@ class ImageLoss:
 
     @property
     def value(self) -> float:
-        """The loss of the last call."""
+        """The loss at the last call of `gradient`."""
         ssim, color, depth = self._sums.sum(axis=0) / self._shown[0].size
         return float(
             (1.0 - self._ssim_weight) * color / 3.0
@@ -145,18 +134,21 @@ class ImageLoss:
         )
 
 
-def _check(name: str, array: NDArray, shape: tuple[int, ...], dtype: type[np.generic]) -> None:
+def _check(
+    name: str, array: NDArray[Any], shape: tuple[int, ...], dtype: type[np.generic]
+) -> None:
     if array.shape != shape or array.dtype != dtype:
         raise LossError(f'{name} is {array.shape} {array.dtype}, not {shape} {dtype.__name__}')
 
 
-# Each inner loop is a function of whole arrays: there LLVM sees that they do not overlap, or can
-# check it, and vectorises. Written out in the kernels, on rows of theirs, it gives up.
+# Each inner loop is a function of whole arrays, so that LLVM sees that they do not overlap, or can
+# check it, and vectorises; it does not if the loop is written out in a kernel. W is the width; all
+# arrays are float32 but `valid` (bool); colours are 0 to 1, depths metres.
 
 
 @kernel
 def _blur_along(padded, out):
-    """Blur one row; `padded` has _RADIUS more at both ends."""
+    """Blur the row `padded` (W + 2 _RADIUS,), zeros at both ends; write `out` (W,)."""
     for x in range(out.shape[0]):
         out[x] = (
             _W0 * padded[x + 5]
@@ -170,7 +162,7 @@ def _blur_along(padded, out):
 
 @kernel
 def _blur_across(rows, out):
-    """Blur _WINDOW rows into one."""
+    """Blur `rows` (_WINDOW, W) into one row; write `out` (W,)."""
     for x in range(out.shape[0]):
         out[x] = (
             _W0 * rows[5, x]
@@ -184,7 +176,11 @@ def _blur_across(rows, out):
 
 @kernel
 def _show(color, through, target, valid, gain, behind, offset, shown):
-    """Apply background and exposure; show the target itself where it does not count."""
+    """Apply background and exposure to one channel of a row; write `shown` (W,).
+
+    `color`, `through` (transmittance), `target` and `valid` (W,); `gain`, `behind` (background
+    times gain) and `offset` are numbers. A pixel that is not valid shows the target.
+    """
     for x in range(shown.shape[0]):
         seen = gain * color[x] + behind * through[x] + offset
         shown[x] = seen if valid[x] else target[x]
@@ -192,7 +188,10 @@ def _show(color, through, target, valid, gain, behind, offset, shown):
 
 @kernel
 def _multiply(shown, target, rows):
-    """Lay the moments' terms out, _RADIUS from either end."""
+    """Write x, y, xx + yy and xy into `rows` (_MOMENTS, W + 2 _RADIUS), not into its ends.
+
+    x is `shown` (W,), y is `target` (W,).
+    """
     for x in range(shown.shape[0]):
         a, b = shown[x], target[x]
         rows[0, x + _RADIUS] = a
@@ -201,9 +200,12 @@ def _multiply(shown, target, rows):
         rows[3, x + _RADIUS] = a * b
 
 
-@kernel(error_model='numpy')  # else each division asks whether to raise, and nothing vectorises
+@kernel(error_model='numpy')  # else each division may raise, which prevents vectorisation
 def _similarity(moments, rows):
-    """Write the slopes of SSIM, _RADIUS from either end of `rows`; return its sum."""
+    """Return the sum of SSIM over a row; write its derivatives by three of the moments.
+
+    `moments` (_MOMENTS, W) blurred; writes `rows` (_SLOPES, W + 2 _RADIUS), not its ends.
+    """
     total = _ZERO
     for x in range(moments.shape[1]):
         a, b, squares, product = moments[0, x], moments[1, x], moments[2, x], moments[3, x]
@@ -222,6 +224,11 @@ def _similarity(moments, rows):
 
 @kernel
 def _derive_depth(depth, through, target, valid, weight, by_depth, by_through):
+    """Return the sum of a row's absolute depth errors, metres; write their derivatives.
+
+    The error is D - d (1 - T) with `depth` D (W,), `through` T (W,) and `target` d (W,); `valid`
+    (W,). Writes `by_depth` and `by_through` (W,), times `weight`.
+    """
     total = _ZERO
     for x in range(target.shape[0]):
         counts = valid[x] and target[x] > _ZERO and target[x] < _INFINITY
@@ -238,6 +245,11 @@ def _derive_depth(depth, through, target, valid, weight, by_depth, by_through):
 def _derive_color(
     shown, target, valid, slopes, gain, behind, color_weight, ssim_weight, by_color, by_through
 ):
+    """Return the sum of a row's absolute colour errors in one channel; write the derivatives.
+
+    `shown`, `target` and `valid` (W,), `slopes` (_SLOPES, W) blurred derivatives of SSIM; `gain`
+    and `behind` as in `_show`. Writes `by_color` (W,) and adds to `by_through` (W,).
+    """
     total = _ZERO
     for x in range(shown.shape[0]):
         a, b = shown[x], target[x]
@@ -254,7 +266,12 @@ def _derive_color(
 def _compose(
     piece, pieces, planes, target, valid, gain, offset, background, shown, rows, moments
 ):  # fmt: skip
-    """Show, and blur the moments with the target along the rows."""
+    """Apply background and exposure; blur the moments along the piece's rows.
+
+    `planes` (5, H, W) as in `Rendering`, `target` (3, H, W), `valid` (H, W), `gain`, `offset` and
+    `background` (3,). Writes `shown` (3, H, W) and `moments` (3, H + 2 _RADIUS, _MOMENTS W), not
+    the rows above and below; `rows` (pieces, _MOMENTS, W + 2 _RADIUS) is work space.
+    """
     channels, height, width = shown.shape
     for y in range(height * piece // pieces, height * (piece + 1) // pieces):
         for c in range(channels):
@@ -270,7 +287,12 @@ def _compose(
 
 @kernel
 def _compare(piece, pieces, moments, blurred, rows, slopes, sums):
-    """Finish the moments, and blur the slopes of SSIM along the rows."""
+    """Blur the moments across the piece's rows; blur the derivatives of SSIM along them.
+
+    `moments` as `_compose` leaves them. Writes `slopes` (3, H + 2 _RADIUS, _SLOPES W) and
+    `sums[piece, 0]`, the sum of SSIM, float64; `blurred` (pieces, _MOMENTS W) and `rows` (pieces,
+    _MOMENTS, W + 2 _RADIUS) are work space.
+    """
     channels, height = slopes.shape[0], slopes.shape[1] - 2 * _RADIUS
     width = slopes.shape[2] // _SLOPES
     sums[piece, 0] = 0.0
@@ -288,7 +310,13 @@ def _differentiate(
     piece, pieces, planes, target, depth, valid, gain, background, shown, slopes, blurred,
     color_weight, ssim_weight, depth_weight, by_color, by_depth, by_through, sums,
 ):  # fmt: skip
-    """Finish the slopes, and derive by everything that was rendered."""
+    """Blur the derivatives of SSIM across the piece's rows; write those of the loss.
+
+    `planes`, `target`, `valid`, `gain` and `background` as in `_compose`, `depth` (H, W) the
+    target's, `shown` and `slopes` as left by `_compose` and `_compare`. Writes `by_color`
+    (3, H, W), `by_depth` and `by_through` (H, W), and `sums[piece, 1:]`, the sums of the absolute
+    errors of colour and depth, float64; `blurred` (pieces, _MOMENTS W) is work space.
+    """
     channels, height, width = shown.shape
     here = blurred[piece, : _SLOPES * width]
     sums[piece, 1] = sums[piece, 2] = 0.0

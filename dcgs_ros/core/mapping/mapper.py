@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper: makes the Gaussians look like the keyframes, by Sigma_r, opacity and colour."""
+"""The mapper: optimises the Gaussians so that their renderings look like the keyframes."""
 
 from __future__ import annotations
 
@@ -18,37 +18,46 @@ from ..keyframe import Keyframe, MapUpdate, PosedFrame
 from ..render.renderer import Renderer, Rendering, View
 from . import exposure
 from .corrections import Corrections
-from .losses import Exposure, ImageLoss, Target
-from .seeding import Surface, discs, lacking
+from .exposure import Exposure
+from .losses import ImageLoss, Target
+from .rectification import Images, Rectifier
+from .seeding import Surface
 from .splat_table import SplatTable
 from .splats import SH_C0, Splats
-from .views import Images, KeyframeView, Rectifier
+from .strategy import DefaultDensification, Densification, Observation
+from .view_choice import COARSE, ViewScheduler
+from .views import KeyframeView, shrink_memory
 
-_COARSE = 2  # pixels of the image for one of a coarse step
 _EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
 
 
 class MapperError(DcgsError):
-    """What the mapper was given, or asked for, cannot be."""
+    """A keyframe that the mapper cannot use, or a step without keyframes."""
 
 
 class Mapper:
     """Photometric optimisation of the map over a window of newest and replayed keyframes.
 
-    Gaussians that the tracker spawned have its ids; those that the mapper adds where an image
-    needs more have ids from -1 downwards, and are none of the tracker's business.
+    Gaussians that the tracker spawned have its ids (0, 1 ...); those that the mapper adds where
+    an image needs more have ids from -1 downwards and are not reported to the tracker.
     """
 
     def __init__(
-        self, camera: PinholeCamera, config: Config, renderer: Renderer, workers: Workers
+        self,
+        camera: PinholeCamera,
+        config: Config,
+        renderer: Renderer,
+        workers: Workers,
+        strategy: Densification | None = None,
     ) -> None:
-        """Start with an empty map."""
+        """Start with an empty map; `strategy` is `DefaultDensification` by default."""
         self.camera, self.config = camera, config
         self.table = SplatTable()
         self.views: list[KeyframeView] = []
         self.steps = 0
         self.poisoned = 0  # Gaussians dropped because a parameter was not finite
         self._renderer, self._workers = renderer, workers
+        self._strategy = strategy or DefaultDensification(config)
         self._rectify = Rectifier(camera)
         settings = config.mapping
         self._losses = {
@@ -56,17 +65,17 @@ class Mapper:
                 camera.width // shrink, camera.height // shrink, settings.ssim_weight,
                 settings.depth_weight, workers,
             )
-            for shrink in (1, _COARSE)
+            for shrink in (1, COARSE)
         }  # fmt: skip
         self._random = np.random.default_rng(settings.seed)
-        self._round: list[KeyframeView] = []  # views still to be replayed in this round
+        self._scheduler = ViewScheduler(settings, self._random)
         self._next_own_id = -1
         self._removed: list[NDArray[np.int64]] = []
 
     def insert(self, posed: PosedFrame) -> None:
-        """Take in a keyframe with its Gaussians, or a view; add others where the map lacks some.
+        """Add a keyframe or a view: its Gaussians if any, and those that the strategy adds.
 
-        Raises `MapperError` for one that cannot be; the mapper is then as it was before.
+        Raises `MapperError` for an invalid one; the mapper is then as it was before.
         """
         keyframe = posed if isinstance(posed, Keyframe) else _without_gaussians(posed)
         self._check(keyframe)
@@ -76,19 +85,21 @@ class Mapper:
             self.views[-1] if self.views else None,
         )  # fmt: skip
         self.views.append(view)
-        coarse = View.of(self.camera, view.T_world_cam, _COARSE)
+        coarse = View.of(self.camera, view.T_world_cam, COARSE)
         rendering = self._renderer.render(self.table.planes, coarse)
-        target = view.target(self._rectify.valid, _COARSE, self._workers)
+        target = view.target(self._rectify.valid, COARSE, self._workers)
         view.exposure = self._exposed(view, rendering, target)
         self._center_exposures()
         self._spawn(keyframe, view, images, rendering)
-        self._shrink_memory()
+        if shrink_memory(self.views, 1e6 * self.config.mapping.image_memory_mb):
+            self._scheduler.restart()
 
     def _check(self, keyframe: Keyframe) -> None:
         height, width = keyframe.frame.depth_m.shape
         if (width, height) != (self.camera.width, self.camera.height):
             raise MapperError(
-                f'image is {width}x{height}, the camera {self.camera.width}x{self.camera.height}'
+                f'the image is {width}x{height} pixels, the camera '
+                f'{self.camera.width}x{self.camera.height}'
             )
         n = len(keyframe.ids)
         if keyframe.means.shape != (n, 3) or keyframe.normals.shape != (n, 3):
@@ -106,7 +117,7 @@ class Mapper:
     def _spawn(
         self, keyframe: Keyframe, view: KeyframeView, images: Images, rendering: Rendering
     ) -> None:
-        """Add the tracker's Gaussians, and own ones where the map lacks any even so."""
+        """Add the Gaussians that the strategy makes of a keyframe, up to `max_gaussians`."""
         config = self.config.mapping
         keyframe = self._news(keyframe)
         camera = View.of(self.camera, view.T_world_cam)
@@ -117,29 +128,31 @@ class Mapper:
             np.ones(len(keyframe.ids), np.bool_),
         )
         valid = self._rectify.valid
-        lacks = lacking(images, rendering, _COARSE, valid, measured, camera, config)
-        ids = self._next_own_id - np.arange(len(lacks.points), dtype=np.int64)
-        self._next_own_id -= len(ids)
-        spacings = self.config.keyframes.spawn_stride_px, config.spawn_stride_px
-        new = [
-            discs(surface, spacing, images, camera, view.exposure, config).planes
-            for surface, spacing in zip((measured, lacks), spacings, strict=True)
-        ]
+        seen = Observation(images, valid, camera, view.exposure, rendering, COARSE)
+        planes = self._strategy.seed(seen, measured).planes
+        if planes.shape[1] < len(keyframe.ids):
+            raise MapperError(
+                f'the strategy returned {planes.shape[1]} Gaussians, fewer than the '
+                f'{len(keyframe.ids)} that the tracker spawned'
+            )
+        own_points = np.ascontiguousarray(planes[:3, len(keyframe.ids) :].T)
+        own_ids = self._next_own_id - np.arange(len(own_points), dtype=np.int64)
+        self._next_own_id -= len(own_ids)
         room = slice(max(0, config.max_gaussians - len(self.table)))
-        planes = np.concatenate(new, axis=1)[:, room]
+        planes = planes[:, room]
         sigma_z = self._sigma_z(measured, camera)
         reach_m = np.full(planes.shape[1], np.inf, np.float32)
         reach_m[: len(sigma_z)] = config.reach_sigmas * sigma_z[room]
-        back = se3.inverse(moved)
-        own = se3.transform(back, lacks.points)
+        own = se3.transform(se3.inverse(moved), own_points)
         tracked = np.concatenate([keyframe.means, own])[room].T.astype(np.float32)
-        ids = np.concatenate([keyframe.ids, ids])[room]
+        ids = np.concatenate([keyframe.ids, own_ids])[room]
         self.table.append(Splats(planes), ids, view.index, tracked, reach_m)
 
     def _news(self, keyframe: Keyframe) -> Keyframe:
-        """Leave out the Gaussians that are here already, and, counted, those that are not finite.
+        """Return the keyframe without Gaussians that are in the map already or are not finite.
 
-        A keyframe that is offered again may bring some along that came with another.
+        The latter are counted. A keyframe that is sent again may contain Gaussians that came with
+        another one.
         """
         numbers = np.concatenate([keyframe.means, keyframe.normals], axis=1)
         finite = np.isfinite(numbers).all(axis=1)
@@ -152,16 +165,19 @@ class Mapper:
         )  # fmt: skip
 
     def _sigma_z(self, surface: Surface, camera: View) -> NDArray[np.float64]:
-        """(N,) noise of the depth that a surface was measured with, metres."""
+        """Return the standard deviation (N,) of the depth of points on a surface, metres."""
         R, t = camera.T_world_cam[:3, :3], camera.T_world_cam[:3, 3]
         return np.asarray(self.config.sensor.sigma((surface.points - t) @ R[:, 2]))
 
     def step(self, rate: float = 1.0, replay: bool = False) -> float:
-        """Take one optimisation step on one view; returns its loss.
+        """Take one optimisation step on one view; return its loss.
 
         `rate` scales the learning rates; with `replay` all views take turns at full resolution.
+        Raises `MapperError` before the first keyframe.
         """
-        view, shrink = self._chosen(replay)
+        if not self.views:
+            raise MapperError('no step without a keyframe: insert one first')
+        view, shrink = self._scheduler.choose(self.views, replay)
         target = view.target(self._rectify.valid, shrink, self._workers)
         camera = View.of(self.camera, view.T_world_cam, shrink)
         rendering = self._renderer.render(self.table.planes, camera)
@@ -169,37 +185,23 @@ class Mapper:
             fit = self._exposed(view, rendering, target)
             view.exposure = exposure.blended(view.exposure, fit, self.config.rates.exposure)
         loss = self._losses[shrink]
-        behind = self._random.random(3, np.float32)  # else dark surfaces go transparent
-        by_image = loss.gradient(rendering.planes, target, view.exposure, behind)
+        background = self._random.random(3, np.float32)  # if fixed, dark surfaces go transparent
+        by_image = loss.gradient(rendering.planes, target, view.exposure, background)
         gradients = self._renderer.backward(by_image)
         self.table.step(gradients, self._rates(rate), self._workers)
-        if view.index > 0:  # the first one holds the map in place
+        if view.index > 0:  # the pose of the first view is fixed: it holds the map in place
             view.turn(gradients.pose, self._pose_rates(rate))
         view.visits += 1
         self.steps += 1
         if self.steps % self.config.mapping.prune_interval == 0:
             self.prune()
-            self._anchor()
+            self.table.anchor(np.array([view.T_map_tracked for view in self.views]))
             self._center_exposures()
         return loss.value
 
     def _exposed(self, view: KeyframeView, rendering: Rendering, target: Target) -> Exposure:
         share = self.config.mapping.exposure_share
-        return exposure.fitted(rendering, target, view.exposure, share)
-
-    def _chosen(self, replay: bool) -> tuple[KeyframeView, int]:
-        if not self.views:
-            raise MapperError('there is no keyframe to optimise for yet')
-        config = self.config.mapping
-        active = [view for view in self.views if view.active]
-        if not replay and self._random.random() < config.newest_share:
-            chosen = min(reversed(active), key=lambda view: view.visits)
-        else:
-            if not self._round:
-                self._round = [active[k] for k in self._random.permutation(len(active))]
-            chosen = self._round.pop()
-        coarse = not replay and self._random.random() < config.coarse_share
-        return chosen, _COARSE if coarse else 1
+        return exposure.fitted(rendering, target.color, target.valid, view.exposure, share)
 
     def _rates(self, rate: float) -> NDArray[np.float32]:
         r = self.config.rates
@@ -210,26 +212,17 @@ class Mapper:
         return rate * np.repeat([self.config.rates.pose_m, self.config.rates.pose_rad], 3)
 
     def prune(self) -> None:
-        """Drop what is transparent, too large, without effect, or not finite.
-
-        One without effect has had its trial, or its host has and never saw it.
-        """
-        config, table = self.config.mapping, self.table
-        splats = table.splats
-        finite = np.isfinite(splats.planes).all(axis=0)
+        """Drop the Gaussians that the strategy does not keep, and, counted, those not finite."""
+        table = self.table
+        finite = np.isfinite(table.splats.planes).all(axis=0)
         self.poisoned += int(np.count_nonzero(~finite))
-        with np.errstate(invalid='ignore', over='ignore'):
-            keep = finite & (1 / (1 + np.exp(-splats.opacity_logits)) > config.prune_opacity)
-            keep &= splats.log_scales.max(axis=0) < np.log(config.prune_scale_m)
-        hosts = np.array([view.visits for view in self.views], np.int64)
-        tried = np.maximum(table.visits, hosts[table.hosts]) >= config.trial_visits
-        keep &= ~tried | (table.weights > config.prune_weight)
+        keep = finite & self._strategy.prune(table, self.views)
         if not keep.all():
             self._removed.append(table.ids[~keep & (table.ids >= 0)])
             table.keep(keep)
 
     def update(self) -> MapUpdate:
-        """Tell the tracker what changed since the last time."""
+        """Return what changed of the tracker's Gaussians since the last call."""
         columns = self.table.report()
         finite = np.isfinite(self.table.planes[:, columns]).all(axis=0)
         columns = columns[finite]
@@ -242,10 +235,10 @@ class Mapper:
     def _seen_by_tracker(
         self, columns: NDArray[np.int64], normals: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Means and normals (K, 3) in the tracker's world.
+        """Return means and normals (K, 3) in the tracker's world.
 
-        The poses of the views are refined here, not there: what goes back is how far a Gaussian
-        has come from where its host saw it.
+        The refined poses of the views stay in the mapper: a mean is given by its motion from where
+        its host view saw it.
         """
         table = self.table
         turns = [v.T_tracked[:3, :3] @ v.T_world_cam[:3, :3].T for v in self.views]
@@ -255,52 +248,23 @@ class Mapper:
         turned = np.einsum('nij,nj->ni', R, normals)
         return means.astype(np.float32), turned.astype(np.float32)
 
-    def _anchor(self) -> None:
-        """Let the anchors follow the views that spawned them, and means keep in reach of them."""
-        there = np.array([v.T_world_cam @ se3.inverse(v.T_tracked) for v in self.views])
-        table = self.table
-        T = there[table.hosts]
-        table.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], table.measured) + T[:, :3, 3].T
-        moved = table.splats.means - table.anchors
-        far = np.linalg.norm(moved, axis=0)
-        out = np.flatnonzero(far > table.reach_m)
-        share = table.reach_m[out] / far[out]
-        table.splats.means[:, out] = table.anchors[:, out] + share * moved[:, out]
-
     def _center_exposures(self) -> None:
-        """Make the mean exposure none at all, and give what it was to the map's colours.
+        """Move the mean exposure of all views into the map's colours.
 
-        What every view shows stays the same; without exposures the map is then right on average.
+        What every view shows stays the same, and the map without exposures is right on average.
         """
-        gain = np.mean([view.exposure.gain for view in self.views], axis=0)
-        offset = np.mean([view.exposure.offset for view in self.views], axis=0)
-        self.table.recolor(Exposure(gain, offset))
+        common = exposure.mean([view.exposure for view in self.views])
+        self.table.recolor(common)
         for view in self.views:
-            left = view.exposure.gain / gain
-            view.exposure = Exposure(left, view.exposure.offset - left * offset)
-
-    def _shrink_memory(self) -> None:
-        """Compress the oldest views beyond the budget, then do without every second of them."""
-        budget = 1e6 * self.config.mapping.image_memory_mb
-        held = sum(view.bytes for view in self.views)
-        for view in self.views:
-            if held <= budget:
-                return
-            held -= view.bytes
-            view.compress()
-            held += view.bytes
-        if held > budget:
-            for view in [view for view in self.views[:-1] if view.active][1::2]:
-                view.retire()
-            self._round.clear()
+            view.exposure = view.exposure.relative_to(common)
 
     def render(self, T_world_cam: NDArray[np.float64]) -> Rendering:
-        """Show the map from a pose in the mapper's world."""
+        """Return an image of the map from a pose (4, 4) in the mapper's world."""
         return self._renderer.render(self.table.planes, View.of(self.camera, T_world_cam))
 
     def corrections(self) -> Corrections:
-        """Give what was refined of the views, to be carried over to the frames between."""
-        views = sorted(self.views, key=lambda view: view.stamp_ns)  # some may have come late
+        """Return the refined poses and exposures, to be interpolated to the other frames."""
+        views = sorted(self.views, key=lambda view: view.stamp_ns)  # some may arrive late
         return Corrections(
             np.array([view.stamp_ns for view in views], np.int64),
             np.array([view.T_tracked for view in views]),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""New Gaussians: where the map lacks them, and what they look like to begin with."""
+"""New Gaussians: where the map lacks some, and their first parameters."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from .. import se3
 from ..config.stages import MappingConfig
 from ..render.renderer import Rendering, View
-from .losses import Exposure
+from .exposure import Exposure
+from .rectification import Images
 from .splats import PLANES, SH_C0, Splats
-from .views import Images
 
-_MIN_COSINE = 0.3  # discs seen at a grazing angle are not made longer than for this
-_NEIGHBOUR_PX = 4  # of the differences a normal is made from
-_EDGE = 0.1  # of the depth: a larger difference is no surface
+_MIN_COSINE = 0.3  # of the angle between normal and ray: limits the size of discs seen at a slant
+_NEIGHBOUR_PX = 4  # distance of the pixels whose difference gives the normal
+_EDGE = 0.1  # share of the depth: a larger difference is a depth edge
 _FILL_SHRINK = 4  # holes are filled at a quarter of the resolution
-_NEARER, _NEARER_M = 0.93, 0.02  # measured depth that the map should not shine through
+_NEARER, _NEARER_M = 0.93, 0.02  # depth measured in front of the map: share of it, and metres
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Surface:
 
     points: NDArray[np.float32]  # (N, 3) metres
     normals: NDArray[np.float32]  # (N, 3) unit
-    measured: NDArray[np.bool_]  # (N,) the depth is the sensor's, not a neighbour's
+    measured: NDArray[np.bool_]  # (N,) whether the depth was measured, not taken from a neighbour
 
 
 def discs(
@@ -41,9 +41,9 @@ def discs(
     exposure: Exposure,
     config: MappingConfig,
 ) -> Splats:
-    """Flat Gaussians on a surface, wide enough for neighbours `spacing_px` apart to meet.
+    """Return flat Gaussians on a surface, wide enough for neighbours `spacing_px` apart to meet.
 
-    Their third axis is the normal; their colour is that of the image around them.
+    Their third axis is the normal, their colour the mean of the image around them.
     """
     pixels, z = _pixels(surface.points, view)
     towards = view.T_world_cam[:3, 3] - surface.points
@@ -67,16 +67,16 @@ def lacking(
     images: Images,
     rendering: Rendering,
     shrink: int,
-    valid: NDArray[np.bool_],
+    valid: NDArray[np.bool_],  # (H, W)
     spawned: Surface,
     view: View,
     config: MappingConfig,
 ) -> Surface:
-    """Surface at those points of a grid where the map shows nothing, or something far behind.
+    """Return the surface at the points of a grid where the map shows nothing or is far behind.
 
-    The rendering has one pixel for each shrink x shrink. Cells of the grid that a spawned point
-    lies in lack nothing. Depth holes are filled from the nearest pixel that has depth; no depth at
-    all fills none.
+    The rendering has one pixel for each shrink x shrink. Cells of the grid with a point of
+    `spawned` are left out. Depth holes are filled from the nearest pixel with depth; without any
+    depth the result is empty.
     """
     stride = config.spawn_stride_px
     depth_m = images.depth_m
@@ -85,7 +85,7 @@ def lacking(
     v, u = (
         k.ravel() for k in np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     )
-    rows, columns = rendering.depth.shape  # of an odd size one pixel is beyond them
+    rows, columns = rendering.depth.shape  # an image of odd size has one more
     at = np.minimum(v // shrink, rows - 1), np.minimum(u // shrink, columns - 1)
     T = rendering.transmittance[at]
     shown_m = rendering.depth[at] / np.maximum(1 - T, 1e-3)
@@ -107,8 +107,10 @@ def lacking(
     )
 
 
-def _pixels(points: NDArray, view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels (N, 2) and depths (N,) of points in the world."""
+def _pixels(
+    points: NDArray[np.float32], view: View
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return pixels (N, 2) and depths (N,), metres, of points (N, 3) in the world."""
     T_cam_world = se3.inverse(view.T_world_cam)
     p_cam = se3.transform(T_cam_world, points)
     z = np.maximum(p_cam[:, 2], 1e-3)
@@ -116,11 +118,11 @@ def _pixels(points: NDArray, view: View) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def _filled(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Depth with holes filled from the nearest measurement; zeros where there is none at all."""
+    """Return depth (H, W), metres, with holes filled from the nearest pixel with depth, if any."""
     if not (depth_m <= 0).any():
         return depth_m
     block = np.ones((_FILL_SHRINK, _FILL_SHRINK), np.uint8)
-    farthest = cv2.dilate(depth_m, block, anchor=(0, 0))  # of the block that begins at a pixel
+    farthest = cv2.dilate(depth_m, block, anchor=(0, 0))  # of the block that starts at each pixel
     small = np.asarray(farthest)[::_FILL_SHRINK, ::_FILL_SHRINK]
     holes = (small <= 0).astype(np.uint8)
     if holes.all():
@@ -136,12 +138,16 @@ def _filled(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _surface_at(
-    depth_m: NDArray[np.float32], measured: NDArray[np.bool_], u: NDArray, v: NDArray, view: View
+    depth_m: NDArray[np.float32],  # (H, W) filled
+    measured: NDArray[np.bool_],  # (N,)
+    u: NDArray[np.int64],  # (N,)
+    v: NDArray[np.int64],  # (N,)
+    view: View,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points and normals in the camera frame; a filled point, or one at an edge, faces it."""
+    """Return points and normals (N, 3), camera frame; filled points and edges face the camera."""
     height, width = depth_m.shape
 
-    def point(u: NDArray, v: NDArray) -> NDArray[np.float64]:
+    def point(u: NDArray[np.int64], v: NDArray[np.int64]) -> NDArray[np.float64]:
         z = depth_m[v, u].astype(np.float64)
         return np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z], axis=1)
 
@@ -157,8 +163,8 @@ def _surface_at(
     return points, np.where(bad[:, None], -rays, normals / np.maximum(norms, 1e-12))
 
 
-def _turning_z_to(normals: NDArray) -> NDArray[np.float64]:
-    """(4, N) quaternions wxyz of the shortest turns of (0, 0, 1) to the unit normals (N, 3)."""
+def _turning_z_to(normals: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return (4, N) quaternions wxyz, shortest rotations of (0, 0, 1) to unit normals (N, 3)."""
     x, y, z = normals.astype(np.float64).T
     quats = np.stack([1 + z, -y, x, np.zeros_like(x)])
     quats[:, z < -1 + 1e-9] = np.array([0.0, 1.0, 0.0, 0.0])[:, None]  # half a turn about x
@@ -166,9 +172,9 @@ def _turning_z_to(normals: NDArray) -> NDArray[np.float64]:
 
 
 def _colors_at(
-    color: NDArray[np.uint8], pixels: NDArray, spacing_px: float
+    color: NDArray[np.uint8], pixels: NDArray[np.float64], spacing_px: float
 ) -> NDArray[np.float32]:
-    """Colours (N, 3) from 0 to 1, each the mean of the pixels that a Gaussian stands for."""
+    """Return colours (N, 3) from 0 to 1: means over `spacing_px` around pixels (N, 2)."""
     side = max(1, round(spacing_px) | 1)
     mean = np.asarray(cv2.blur(color, (side, side)))
     height, width = color.shape[:2]

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper's Gaussians with what it remembers of each, and selective Adam on them."""
+"""The mapper's Gaussians with what it stores of each, and selective Adam on them."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,28 +13,28 @@ from ..kernels.jit import fast_kernel
 from ..kernels.workers import Workers
 from ..render.renderer import Gradients
 from ..render.simd import LANES
-from .losses import Exposure
+from .exposure import Exposure
 from .splats import PLANES, SH_C0, Splats
 
 _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-15
-_STRETCH = 64  # Gaussians handled at a time
+_STRETCH = 64  # Gaussians processed at a time
 _TABLE = 8192  # visits after which a bias correction is 1 to the last bit
-_NOBODY = np.iinfo(np.int64).min  # id of the columns that only fill up the last group
-_FILLS = {'ids': _NOBODY, 'planes': -100.0, 'reach_m': np.inf}  # transparent, and left alone
-_STEEPEST = 1e15  # a gradient whose square is still a float
+_PADDING_ID = np.iinfo(np.int64).min  # of the columns that fill up the last group
+_FILLS = {'ids': _PADDING_ID, 'planes': -100.0, 'reach_m': np.inf}  # transparent, never clamped
+_STEEPEST = 1e15  # largest gradient: its square is still finite
 
 
 class SplatTable:
-    """Gaussians in columns, in the order they came; removing some moves up the others.
+    """Gaussians in columns, in order of insertion; removing some closes the gaps.
 
-    There are always whole groups of LANES columns, as the renderer takes them: those behind the
-    last Gaussian are transparent.
+    There are always whole groups of LANES columns, which the renderer needs: those after the last
+    Gaussian are transparent padding.
     """
 
     def __init__(self) -> None:
         """Start empty."""
         self._count = 0
-        self._columns: dict[str, NDArray] = {
+        self._columns: dict[str, NDArray[Any]] = {
             'planes': np.empty((len(PLANES), 0), np.float32),
             'first_moments': np.empty((len(PLANES), 0), np.float32),
             'second_moments': np.empty((len(PLANES), 0), np.float32),
@@ -50,63 +52,63 @@ class SplatTable:
         self._unbias_2 = (1.0 / (1.0 - _BETA_2**steps)).astype(np.float32)
 
     def __len__(self) -> int:
-        """Count the Gaussians."""
+        """Return the number of Gaussians."""
         return self._count
 
     @property
     def planes(self) -> NDArray[np.float32]:
-        """(14, M) parameters, M >= N: the last ones are padding."""
+        """(14, M) parameters; those from N to M are padding."""
         return self._columns['planes']
 
     @property
     def splats(self) -> Splats:
-        """The N Gaussians, a view."""
+        """The N Gaussians, a view of the table."""
         return Splats(self.planes[:, : self._count])
 
     @property
     def ids(self) -> NDArray[np.int64]:
-        """(N,) identities; negative ones are the mapper's own."""
+        """(N,) ids; negative ones are of Gaussians that the mapper added."""
         return self._columns['ids'][: self._count]
 
     @property
     def hosts(self) -> NDArray[np.int32]:
-        """(N,) keyframe that each came with."""
+        """(N,) index of the view that each was added with."""
         return self._columns['hosts'][: self._count]
 
     @property
     def measured(self) -> NDArray[np.float32]:
-        """(3, N) means as they were spawned, metres, the tracker's world."""
+        """(3, N) means when they were added, metres, the tracker's world."""
         return self._columns['measured'][:, : self._count]
 
     @property
     def anchors(self) -> NDArray[np.float32]:
-        """(3, N) the same in the mapper's world; to be written to when views move."""
+        """(3, N) the same in the mapper's world, metres, which moves with the views' poses."""
         return self._columns['anchors'][:, : self._count]
 
     @property
     def reach_m(self) -> NDArray[np.float32]:
-        """(N,) how far each mean may be from its anchor."""
+        """(N,) largest distance of each mean from its anchor, metres."""
         return self._columns['reach_m'][: self._count]
 
     @property
     def visits(self) -> NDArray[np.int32]:
-        """(N,) optimisation steps that each took part in."""
+        """(N,) optimisation steps that moved each."""
         return self._columns['visits'][: self._count]
 
     @property
     def weights(self) -> NDArray[np.float32]:
-        """(N,) largest sum of blending weights that each had in an image, pixels."""
+        """(N,) largest sum of blending weights that each had in one image, pixels."""
         return self._columns['weights'][: self._count]
 
     def report(self) -> NDArray[np.int64]:
-        """Columns (K,) of the tracker's Gaussians that moved since they were reported last."""
+        """Return the columns (K,) of the tracker's Gaussians that moved since the last call."""
         reported = self._columns['reported'][: self._count]
         moved = (self.ids >= 0) & (self.visits != reported)
         reported[moved] = self.visits[moved]
         return np.flatnonzero(moved)
 
     def recolor(self, exposure: Exposure) -> None:
-        """Give an exposure that all views have in common to the colours."""
+        """Apply an exposure to the colours."""
         sh_dc = self.splats.sh_dc
         sh_dc *= exposure.gain[:, None]
         sh_dc += ((0.5 * (exposure.gain - 1) + exposure.offset) / np.float32(SH_C0))[:, None]
@@ -116,11 +118,11 @@ class SplatTable:
         splats: Splats,
         ids: NDArray[np.int64],  # (N,)
         host: int,
-        measured: NDArray[np.float32],  # (3, N) means in the tracker's world
-        reach_m: NDArray[np.float32],  # (N,) how far a mean may get from there
+        measured: NDArray[np.float32],  # (3, N) means in the tracker's world, metres
+        reach_m: NDArray[np.float32],  # (N,) largest distance of a mean from there
     ) -> None:
-        """Add Gaussians."""
-        new: dict[str, NDArray] = {
+        """Add Gaussians of the view `host`."""
+        new: dict[str, NDArray[Any]] = {
             'planes': splats.planes,
             'first_moments': np.zeros_like(splats.planes),
             'second_moments': np.zeros_like(splats.planes),
@@ -136,13 +138,27 @@ class SplatTable:
         old = {name: column[..., : self._count] for name, column in self._columns.items()}
         self._replace(self._count + len(ids), old, new)
 
+    def anchor(self, T_map_tracked: NDArray[np.float64]) -> None:
+        """Move the anchors with their views, and clamp the means to their reach, as `step` does.
+
+        `T_map_tracked` (K, 4, 4) is, for each view, from the tracker's world to the mapper's.
+        """
+        T = T_map_tracked[self.hosts]
+        self.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], self.measured) + T[:, :3, 3].T
+        means = self.splats.means
+        moved = means - self.anchors
+        far = np.linalg.norm(moved, axis=0)
+        out = np.flatnonzero(far > self.reach_m)
+        share = self.reach_m[out] / far[out]
+        means[:, out] = self.anchors[:, out] + share * moved[:, out]
+
     def keep(self, mask: NDArray[np.bool_]) -> None:
-        """Drop the Gaussians outside the mask (N,)."""
+        """Remove the Gaussians outside `mask` (N,)."""
         kept = np.flatnonzero(mask)
         self._replace(len(kept), {name: c[..., kept] for name, c in self._columns.items()})
 
-    def _replace(self, count: int, *parts: dict[str, NDArray]) -> None:
-        """Take other columns, `count` in all of the parts, filled up to whole groups."""
+    def _replace(self, count: int, *parts: dict[str, NDArray[Any]]) -> None:
+        """Replace the columns by those of the parts, `count` in all, padded to whole groups."""
         self._count = count
         for name, column in self._columns.items():
             shape = (*column.shape[:-1], -count % LANES)
@@ -158,8 +174,8 @@ class SplatTable:
     ) -> None:
         """Move the Gaussians that have a gradient by one step of Adam (Kingma and Ba 2015).
 
-        The others keep their moments too; bias correction counts each one's own visits. A mean
-        that would leave its reach stays at the edge of it.
+        The others keep their moments; bias correction counts the visits of each Gaussian. A mean
+        beyond its reach is clamped to it.
         """
         c = self._columns
         workers.run(
@@ -174,6 +190,13 @@ def _adam(
     piece, pieces, planes, first, second, visits, best_weights, gradients, touched, weights, rates,
     unbias_1, unbias_2, anchors, reach_m,
 ):  # fmt: skip
+    """Take one step of Adam on the piece's Gaussians that are touched, and clamp their means.
+
+    Writes `planes`, `first` and `second` (14, N) float32 parameters and moments, `visits` (N,)
+    int32 and `best_weights` (N,) float32. Reads `gradients` (14, N), `touched` (N,) bool,
+    `weights` (N,), `rates` (14,), `unbias_1` and `unbias_2` (_TABLE,) bias corrections by visit,
+    `anchors` (3, N) and `reach_m` (N,) metres.
+    """
     groups = planes.shape[1] // LANES
     start_of_piece = piece * groups // pieces * LANES
     end_of_piece = (piece + 1) * groups // pieces * LANES
@@ -206,11 +229,16 @@ def _adam(
 
 @fast_kernel
 def _move(values, first, second, gradients, touched, scale_1, scale_2, rate):
-    """Move a stretch of one plane: rows that LLVM sees to be apart, so that it vectorises."""
+    """Take one step of Adam on one parameter of n <= _STRETCH Gaussians.
+
+    Writes `values`, `first` and `second` (n,) float32. Reads `gradients` and `touched` (n,), the
+    bias corrections `scale_1` and `scale_2` (_STRETCH,), and the learning rate. As arguments LLVM
+    can check that the rows do not overlap, so that it vectorises.
+    """
     steepest, zero = np.float32(_STEEPEST), np.float32(0.0)
     for x in range(values.shape[0]):
         g = min(max(gradients[x], -steepest), steepest)
-        g = g if touched[x] else zero  # where it may be anything
+        g = g if touched[x] else zero  # it is undefined if not touched
         share_1 = np.float32(1.0 - _BETA_1) if touched[x] else zero
         share_2 = np.float32(1.0 - _BETA_2) if touched[x] else zero
         m = first[x] + share_1 * (g - first[x])

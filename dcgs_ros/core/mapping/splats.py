@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Gaussians as the mapper owns them: mean, Sigma_r as rotation and log-scale, opacity, colour."""
+"""Gaussians of the mapper: mean, Sigma_r as rotation and log-scale, opacity, colour."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import DcgsError
 from ..shape import normals_and_flatness
 
-# One plane a parameter, named as the common 3DGS PLY names its properties.
+# One plane for each parameter, named like the properties of the common 3DGS PLY.
 PLANES = (
     'x', 'y', 'z', 'scale_0', 'scale_1', 'scale_2', 'rot_0', 'rot_1', 'rot_2', 'rot_3', 'opacity',
     'f_dc_0', 'f_dc_1', 'f_dc_2',
@@ -21,12 +21,12 @@ SH_C0 = 0.28209479177387814  # Y_00: a colour is 1/2 + SH_C0 f_dc
 
 
 class SplatError(DcgsError):
-    """Arrays that are no set of Gaussians."""
+    """Arrays that do not form a set of Gaussians."""
 
 
 @dataclass(frozen=True)
 class Splats:
-    """N Gaussians as planes, the form renderer, optimiser and files share."""
+    """N Gaussians as planes, the form that renderer, optimiser and files share."""
 
     planes: NDArray[np.float32]  # (14, N) in the order of PLANES
 
@@ -38,7 +38,7 @@ class Splats:
             raise SplatError(f'planes are {self.planes.dtype}, not float32')
 
     def __len__(self) -> int:
-        """Count the Gaussians."""
+        """Return the number of Gaussians."""
         return self.planes.shape[1]
 
     @property
@@ -53,7 +53,7 @@ class Splats:
 
     @property
     def quats_wxyz(self) -> NDArray[np.float32]:
-        """(4, N) rotation of the axes of Sigma_r to the world; of any length but zero."""
+        """(4, N) rotation of the axes of Sigma_r to the world, of any nonzero length."""
         return self.planes[6:10]
 
     @property
@@ -63,7 +63,7 @@ class Splats:
 
     @property
     def sh_dc(self) -> NDArray[np.float32]:
-        """(3, N) spherical harmonics of degree 0; the colour is 1/2 + SH_C0 times it."""
+        """(3, N) spherical harmonics of degree 0: the colour is 1/2 + SH_C0 sh_dc."""
         return self.planes[11:14]
 
     def shape(self, columns: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

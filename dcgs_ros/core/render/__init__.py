@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Renderers, and the choice between them."""
+"""The renderers, and the choice between them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .renderer import Renderer, RenderError
 
 
 def make_renderer(workers: Workers) -> Renderer:
-    """Take the GPU where gsplat can use one, else these threads.
+    """Return the CUDA renderer if gsplat can use a GPU, else the CPU renderer on `workers`.
 
-    Without NVIDIA's driver torch, which takes seconds to load, is not even looked for.
+    torch, which takes seconds to load, is only imported if there is an NVIDIA driver.
     """
     if shutil.which('nvidia-smi') or Path('/dev/nvidia0').exists():
         with contextlib.suppress(RenderError):

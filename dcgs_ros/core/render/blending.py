@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One Gaussian onto one tile, and its derivatives: the innermost loops of the CPU renderer.
+"""The innermost loops of the CPU renderer: blend one Gaussian into a tile, and its derivatives.
 
-A tile is TILE x TILE pixels, held in blocks of 4 x 4 = LANES pixels so that a small Gaussian
-touches few. Each block is a few vectors in a row, which for a tile stay in the first-level cache.
-Going front to back also in the backward pass, what is behind a Gaussian is the total less what is
-in front of it: the forward pass stores nothing for it.
+A tile is TILE x TILE pixels, stored in blocks of 4 x 4 = LANES pixels so that a small Gaussian
+touches few. Each block is a few consecutive vectors; those of a tile fit into the first-level
+cache. The backward pass goes front to back too: what is behind a Gaussian is the total minus what
+is in front of it, so the forward pass stores nothing for it.
 """
 
 from __future__ import annotations
@@ -40,17 +40,18 @@ from .simd import (
 TILE = 32
 BLOCK = 4  # pixels along a block's side
 BLOCKS = TILE // BLOCK  # along a tile's side
-FORWARD = 5  # vectors of a block: transmittance, red, green, blue, depth
-BACKWARD = 6  # transmittance, what is behind, gradients by red, green, blue, depth
+FORWARD = 5  # vectors of a block: transmittance, red, green, blue, depth (metres)
+BACKWARD = 6  # transmittance, sum over what is behind, gradients by red, green, blue, depth
 FORWARD_SIZE = BLOCKS * BLOCKS * FORWARD * LANES
 BACKWARD_SIZE = BLOCKS * BLOCKS * BACKWARD * LANES
 
-# A projected Gaussian is a row of 16 floats, 64 bytes: one cache line.
+# A projected Gaussian is a row of 16 floats, one cache line: position and reach in pixels, conic,
+# log2 of the opacity, colour, depth in metres.
 X, Y, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, REACH_X, REACH_Y = range(12)
 ROW = 16
 LOG2_ALPHA_MIN = math.log2(ALPHA_MIN)
 
-# A pair of Gaussian and tile gets a row of gradient sums: of v = alpha dL/dalpha, of v times the
+# Each pair of Gaussian and tile has a row of gradient sums: of v = alpha dL/dalpha, of v times the
 # powers of the distance to the mean, of the gradients by colour and depth, and of the weight.
 SUMS = 11
 
@@ -66,8 +67,8 @@ def _each_block(
 ) -> None:
     """Emit a loop over the blocks within bounds (first and last column, first and last row).
 
-    `body(block, dx, dy, power)` gets the block's number, the distance of its pixels from the mean
-    and log2 of their alpha. A, B, C of a row are the conic times log2 e.
+    `body(block, dx, dy, power)` gets the block's number, the distance of its pixels from the mean,
+    pixels, and log2 of their alpha. A, B, C of a row are the conic times log2 e.
     """
 
     def of_row(k: int) -> Vector:
@@ -96,7 +97,7 @@ def _each_block(
 
 
 def _blended(builder: Any, T: Vector, power: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-    """Alpha before its upper bound, alpha, weight, and the transmittance behind.
+    """Return alpha before its upper bound, alpha, weight, and the transmittance behind.
 
     The transmittance of a pixel that has ended is kept, with a negative sign.
     """
@@ -111,9 +112,10 @@ def _blended(builder: Any, T: Vector, power: Vector) -> tuple[Vector, Vector, Ve
 
 @intrinsic
 def blend(typing, tile, row, x0, x1, y0, y1, tile_x, tile_y):
-    """Composite one projected Gaussian behind what the tile holds.
+    """Blend one projected Gaussian behind what `tile` holds, and write the result there.
 
-    blend(tile (FORWARD_SIZE,), row (ROW,), block bounds x0 x1 y0 y1, tile_x, tile_y: its corner)
+    `tile` (FORWARD_SIZE,) float32, `row` (ROW,) float32; x0, x1, y0, y1 are the first and last
+    column and row of blocks; (tile_x, tile_y) is the tile's corner, pixels.
     """
     bounds = [types.int64] * 4
     signature = types.void(tile, row, *bounds, types.float32, types.float32)
@@ -144,11 +146,13 @@ def blend(typing, tile, row, x0, x1, y0, y1, tile_x, tile_y):
 
 @intrinsic
 def blend_backward(typing, tile, row, x0, x1, y0, y1, tile_x, tile_y, out, slot):
-    """Sum up the derivatives by one projected Gaussian over a tile, into row `slot` of `out`.
+    """Sum the derivatives by one projected Gaussian over a tile; write row `slot` of `out`.
 
-    d log2 alpha is what the chain rule goes on from, so that v = alpha dL/dalpha is summed: with w
-    the weight, g the gradient at a pixel and S = sum over what is behind of w (c . g),
-    v = w (c . g) - alpha / (1 - alpha) S, and 0 where alpha is at its upper bound.
+    `tile` (BACKWARD_SIZE,) float32 is updated, `row` (ROW,) float32, `out` (P, ROW) float32; the
+    bounds and the corner are as in `blend`. The chain rule continues from log2 alpha, so
+    v = alpha dL/dalpha is summed: with w the weight, g the gradient at a pixel and S the sum of
+    w (c . g) over what is behind, v = w (c . g) - alpha / (1 - alpha) S, and 0 where alpha is at
+    its upper bound.
     """
     bounds = [types.int64] * 4
     signature = types.void(tile, row, *bounds, types.float32, types.float32, out, types.int64)
@@ -197,7 +201,7 @@ def blend_backward(typing, tile, row, x0, x1, y0, y1, tile_x, tile_y, out, slot)
 
 @intrinsic
 def all_ended(typing, tile):
-    """Tell whether no pixel of the tile, as `blend` leaves it, can receive anything more."""
+    """Return whether every pixel of `tile` (FORWARD_SIZE,), as `blend` leaves it, has ended."""
 
     def emit(context, builder, signature, arguments):
         base = pointer(context, builder, signature.args[0], arguments[0])

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The renderer for machines without a GPU: tiles, explicit SIMD, analytic backward pass."""
+"""The renderer for CPUs: tiles, explicit SIMD, analytic backward pass."""
 
 from __future__ import annotations
+
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +20,14 @@ from .simd import LANES
 _MAX_PAIRS = 40_000_000  # of Gaussian and tile: 64 bytes each in the backward pass
 _TRANSPARENT = -100.0  # logit
 
+Scalar = TypeVar('Scalar', bound=np.generic)
+
 
 class CpuRenderer:
-    """A `Renderer` on threads; its result does not depend on how many."""
+    """A `Renderer` on CPU threads; its result does not depend on their number."""
 
     def __init__(self, workers: Workers) -> None:
-        """Render with these threads; buffers grow with what is rendered."""
+        """Use the threads of `workers`; buffers grow as needed."""
         self._workers = workers
         self._gaussians = _Buffers()
         self._pairs = _Buffers()
@@ -31,8 +35,8 @@ class CpuRenderer:
         self._image: NDArray[np.float32] | None = None
 
     def render(self, planes: NDArray[np.float32], view: View) -> Rendering:
-        """Render the Gaussians of `planes` (14, N); see `Renderer`."""
-        self._image = None  # until there is one that fits what follows
+        """Return an image of the Gaussians of `planes` (14, N); see `Renderer`."""
+        self._image = None  # if this fails, `backward` has nothing to derive
         if planes.ndim != 2 or len(planes) != len(PLANES) or planes.dtype != np.float32:
             raise RenderError(f'planes are {planes.dtype} {planes.shape}, not float32 (14, N)')
         self._count = planes.shape[1]
@@ -73,9 +77,9 @@ class CpuRenderer:
         return Rendering(self._image)
 
     def backward(self, gradient: NDArray[np.float32]) -> Gradients:
-        """Derive by everything, given dL / d planes (5, H, W) of the last rendering."""
+        """Return the derivatives, given dL / d planes (5, H, W) of the last rendering."""
         if self._image is None:
-            raise RenderError('there is no rendering yet to derive')
+            raise RenderError('nothing to derive: call render first')
         if gradient.shape != self._image.shape or gradient.dtype != np.float32:
             raise RenderError(
                 f'gradient is {gradient.dtype} {gradient.shape}, not float32 {self._image.shape}'
@@ -100,7 +104,7 @@ class CpuRenderer:
 
 
 def _padded(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Fill up to whole groups of LANES with Gaussians that nobody sees."""
+    """Return planes (14, M), filled up to whole groups of LANES with transparent Gaussians."""
     missing = -planes.shape[1] % LANES
     if not missing and planes.flags.c_contiguous:
         return planes
@@ -110,12 +114,12 @@ def _padded(planes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class _Buffers:
-    """Arrays that are made anew only when they have become too small; they start a cache line."""
+    """Arrays that are reallocated only if they are too small; they start on a cache line."""
 
     def __init__(self) -> None:
         self._memory: dict[str, NDArray[np.uint8]] = {}
 
-    def get(self, name: str, shape: tuple[int, ...], dtype: type) -> NDArray:
+    def get(self, name: str, shape: tuple[int, ...], dtype: type[Scalar]) -> NDArray[Scalar]:
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
         memory = self._memory.get(name)
         if memory is None or len(memory) < size:

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The renderer for machines with an NVIDIA GPU: gsplat's kernels, torch's backward pass.
+"""The renderer for NVIDIA GPUs: gsplat's kernels, torch's backward pass.
 
-Both are loaded when a renderer is made, not before.
+Both are imported when a renderer is made, not before.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _ONE_PIXEL = View(1, 1, 1.0, 1.0, 0.0, 0.0, np.eye(4))
 
 
 class CudaRenderer:
-    """A `Renderer` on the GPU; sums are atomic there, so gradients differ in the last digits."""
+    """A `Renderer` on the GPU; its sums are atomic, so gradients differ in the last digits."""
 
     def __init__(self, device: str = 'cuda') -> None:
-        """Load gsplat and try it. Raises `RenderError` where it or a GPU is missing."""
+        """Import gsplat and try it. Raises `RenderError` if it or a GPU is missing."""
         self._device = device
         try:
             import torch
@@ -38,14 +38,14 @@ class CudaRenderer:
                 raise RenderError(f'torch {torch.__version__} sees no CUDA device')
             from gsplat import rasterization  # type: ignore[import-not-found]
 
-            # It compiles its kernels on import; where it could not, only a call says so.
+            # It compiles its kernels on import; if that failed, only a call reports it.
             self._rasterization = rasterization
             self.render(_NO_GAUSSIANS, _ONE_PIXEL)
         except (ImportError, AttributeError, RuntimeError, OSError) as error:
             raise RenderError(f'the CUDA renderer needs torch and gsplat: {error}') from error
 
     def render(self, planes: NDArray[np.float32], view: View) -> Rendering:
-        """Render the Gaussians of `planes` (14, N); see `Renderer`."""
+        """Return an image of the Gaussians of `planes` (14, N); see `Renderer`."""
         if planes.ndim != 2 or len(planes) != len(PLANES) or planes.dtype != np.float32:
             raise RenderError(f'planes are {planes.dtype} {planes.shape}, not float32 (14, N)')
         import torch
@@ -75,7 +75,7 @@ class CudaRenderer:
         return Rendering(np.delete(image.detach().cpu().numpy(), _ONES, axis=0))
 
     def backward(self, gradient: NDArray[np.float32]) -> Gradients:
-        """Derive by everything, given dL / d planes (5, H, W) of the last rendering."""
+        """Return the derivatives, given dL / d planes (5, H, W) of the last rendering."""
         image, leaf, pose, ones, n = self._last
         shape = (5, *image.shape[1:])
         if gradient.shape != shape or gradient.dtype != np.float32:
@@ -86,7 +86,7 @@ class CudaRenderer:
 
         upstream = image.new_tensor(np.insert(gradient, _ONES, 0.0, axis=0))
         by_planes, by_pose = torch.autograd.grad(image, (leaf, pose), upstream, retain_graph=True)
-        # The ones' image is the sum of the blending weights, linear in each Gaussian's one.
+        # The image of the ones is the sum of the blending weights, linear in each Gaussian's.
         (weights,) = torch.autograd.grad(image[_ONES].sum(), ones, retain_graph=True)
         counted = weights[:n].cpu().numpy()
         return Gradients(
@@ -98,7 +98,7 @@ class CudaRenderer:
 
 
 class _Pass(NamedTuple):
-    """What the backward pass goes back through."""
+    """What the backward pass needs of the forward pass."""
 
     image: torch.Tensor  # (6, H, W) colour, ones, depth, transmittance
     planes: torch.Tensor  # (14, N + 1)
@@ -108,7 +108,10 @@ class _Pass(NamedTuple):
 
 
 def _usable(planes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Hide what is not finite, and append one that is hidden: gsplat refuses an empty map."""
+    """Return planes (14, N + 1): Gaussians that are not finite hidden, and a hidden one appended.
+
+    gsplat rejects an empty map.
+    """
     hidden = np.zeros((len(planes), 1), np.float32)
     hidden[PLANES.index('rot_0')] = 1.0
     hidden[PLANES.index('opacity')] = _HIDDEN_LOGIT
@@ -117,7 +120,7 @@ def _usable(planes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _by_twist(T_cam_world: NDArray[np.float64], by_T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Chain dL/dT_cam_world (4, 4) to xi (6,) in T_world_cam exp(xi).
+    """Return dL/dxi (6,) for T_world_cam exp(xi), given dL/dT_cam_world (4, 4).
 
     Its inverse is exp(-xi) T_cam_world: a column c of the rotation moves by -phi x c, the
     translation t by -rho - phi x t.

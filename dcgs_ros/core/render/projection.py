@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sixteen Gaussians at a time: onto the image, and the chain rule back to their parameters."""
+"""Projection of sixteen Gaussians at a time, and the chain rule back to their parameters."""
 
 from __future__ import annotations
 
@@ -34,17 +34,20 @@ from .simd import (
 )
 
 _LOG2_E, _LN_2 = math.log2(math.e), math.log(2.0)
-# Where the numbers of a camera stand.
+# Positions of the numbers in `camera_numbers`.
 _R, _T, _FX, _FY, _CX, _CY, _LOW_X, _HIGH_X, _LOW_Y, _HIGH_Y, _W, _H = (
     0, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21,
 )  # fmt: skip
-_HUGE = 1e30  # what is larger is as good as infinite
-PROJECTED = 13  # vectors `project` writes: a row of `blending`, then 1 where the Gaussian is seen
+_HUGE = 1e30  # larger values count as infinite
+PROJECTED = 13  # vectors `project` writes: a row of `blending`, then 1 if the Gaussian is seen
 GRADIENTS = len(PLANES) + 6  # vectors `chain` writes: by the parameters, and by the pose
 
 
 def camera_numbers(view: View) -> NDArray[np.float32]:
-    """(22,) T_cam_world, intrinsics with pixel centres at 1/2, limits of x/z and y/z, size."""
+    """Return (22,): T_cam_world (rotation, translation in metres), intrinsics, limits, size.
+
+    Intrinsics and size in pixels, pixel centres at 1/2; limits of x/z and y/z for the Jacobian.
+    """
     R = view.T_world_cam[:3, :3].T
     cx, cy = view.cx + 0.5, view.cy + 0.5
     beyond_x, beyond_y = 0.5 * MARGIN * view.width, 0.5 * MARGIN * view.height
@@ -59,11 +62,11 @@ def camera_numbers(view: View) -> NDArray[np.float32]:
 
 @dataclass
 class _Geometry:
-    """What projection and chain rule both need; three of a list are x, y, z of a frame."""
+    """What projection and chain rule both need; a list of three has x, y, z."""
 
     parameters: list[Vector]  # 14, as PLANES
     R: list[Vector]  # 9, row by row, camera from world
-    p_cam: list[Vector]
+    p_cam: list[Vector]  # metres
     inverse_z: Vector
     slope: tuple[Vector, Vector]  # x/z, y/z
     clamped: tuple[Vector, Vector]
@@ -80,6 +83,8 @@ class _Geometry:
 
 
 def _geometry(builder: Any, planes: Any, count: Any, first: Any, camera: Any) -> _Geometry:
+    """Emit the geometry of the Gaussians first to first + 15 of planes (14, count)."""
+
     def plane(k: int) -> Vector:
         at = builder.add(builder.mul(index(k), count), first)
         return load(builder, planes, at)
@@ -141,7 +146,11 @@ def _rotation(q: list[Vector]) -> list[list[Vector]]:
 
 @intrinsic
 def project(typing, planes, count, first, camera, out):
-    """Project the Gaussians first to first + 15 of planes (14, count) into out (PROJECTED, 16)."""
+    """Project the Gaussians first to first + 15 of planes (14, count); write `out`.
+
+    `planes` float32 as in `Splats`, `camera` (22,) float32 of `camera_numbers`, `out`
+    (PROJECTED * LANES,) float32: the numbers of `blending`'s rows, LANES of each, then 1 or 0.
+    """
     signature = types.void(planes, types.int64, types.int64, camera, out)
 
     def emit(context, builder, signature, arguments):
@@ -157,9 +166,9 @@ def project(typing, planes, count, first, camera, out):
 
 
 def _projected(builder: Any, g: _Geometry, camera: Any) -> list[Vector]:
-    """List the vectors of `project`.
+    """Return the vectors of `project`.
 
-    What lies within `reach` of the mean has an alpha of at least ALPHA_MIN.
+    Pixels with an alpha of at least ALPHA_MIN are within the reaches of the mean.
     """
     x = g.focal[0] * g.slope[0] + scalar_at(builder, camera, _CX)
     y = g.focal[1] * g.slope[1] + scalar_at(builder, camera, _CY)
@@ -184,9 +193,11 @@ def _projected(builder: Any, g: _Geometry, camera: Any) -> list[Vector]:
 
 @intrinsic
 def chain(typing, planes, count, first, camera, summed, active, out):
-    """Gradient sums (11, 16) of the same Gaussians into derivatives `out` (GRADIENTS, 16).
+    """Turn gradient sums of the Gaussians first to first + 15 into derivatives; write `out`.
 
-    `active` (16,) is 0 where a Gaussian was not seen: zeros there.
+    `planes` (14, count) and `camera` (22,) as in `project`; `summed` (SUMS * LANES,) float32, the
+    sums of `blending`, LANES of each; `active` (LANES,) float32 is 0 for a Gaussian that was not
+    seen, whose derivatives are 0; `out` (GRADIENTS * LANES,) float32.
     """
     signature = types.void(planes, types.int64, types.int64, camera, summed, active, out)
 
@@ -206,7 +217,7 @@ def chain(typing, planes, count, first, camera, summed, active, out):
 
 
 def _chained(builder: Any, g: _Geometry, sums: list[Vector], camera: Any) -> list[Vector]:
-    """List the derivatives by the parameters, then by the pose."""
+    """Return the derivatives by the parameters, then by the pose."""
     A, B, C = (c * g.inverse_det for c in (g.covariance[2], -g.covariance[1], g.covariance[0]))
     by_x, by_y = A * sums[1] + B * sums[2], B * sums[1] + C * sums[2]
     by_u, by_v = _by_rows(g, (A, B, C), sums)
@@ -224,7 +235,7 @@ def _chained(builder: Any, g: _Geometry, sums: list[Vector], camera: Any) -> lis
 def _by_rows(
     g: _Geometry, conic: tuple[Vector, Vector, Vector], sums: list[Vector]
 ) -> tuple[list[Vector], list[Vector]]:
-    """By u and v, through dL/dSigma = -Q (dL/dQ) Q with Q the conic."""
+    """Return the derivatives by u and v: dL/dSigma = -Q (dL/dQ) Q with Q the conic."""
     A, B, C = conic
     qa, qb, qc = sums[3] * -0.5, sums[4] * -0.5, sums[5] * -0.5
     w00, w01 = A * qa + B * qb, A * qb + B * qc
@@ -240,7 +251,7 @@ def _by_rows(
 def _by_axes(
     g: _Geometry, by_u: list[Vector], by_v: list[Vector]
 ) -> tuple[list[list[Vector]], list[Vector]]:
-    """By the axes in the camera frame, times their scales, and by the entries of the Jacobian."""
+    """Return those by the axes in the camera frame, times their scales, and by the Jacobian."""
     jx, jxz, jy, jyz = g.jacobian
     su = [d * s for d, s in zip(by_u, g.scales, strict=True)]
     sv = [d * s for d, s in zip(by_v, g.scales, strict=True)]
@@ -262,7 +273,7 @@ def _by_p_cam(
     by_depth: Vector,
     camera: Any,
 ) -> list[Vector]:
-    """By the mean in the camera frame: through its pixel, its depth and the Jacobian there."""
+    """Return those by the mean in the camera frame: through pixel, depth and Jacobian."""
     by: list[Vector] = []
     by_z = by_depth
     for k, (low, high) in enumerate(((_LOW_X, _HIGH_X), (_LOW_Y, _HIGH_Y))):
@@ -282,7 +293,7 @@ def _by_p_cam(
 
 
 def _by_quaternion(g: _Geometry, by_axes: list[list[Vector]]) -> list[Vector]:
-    """By the stored quaternion, through its normalisation."""
+    """Return those by the stored quaternion, through its normalisation."""
     d = [[_dot(g.R[i::3], [row[j] for row in by_axes]) for j in range(3)] for i in range(3)]
     w, x, y, z = g.quat
     by_unit = [
@@ -305,7 +316,10 @@ def _by_quaternion(g: _Geometry, by_axes: list[list[Vector]]) -> list[Vector]:
 
 
 def _by_pose(g: _Geometry, by_p_cam: list[Vector], by_axes: list[list[Vector]]) -> list[Vector]:
-    """By xi in T_world_cam exp(xi): p_cam goes with -rho - phi x p_cam, the axes with -phi x."""
+    """Return those by xi in T_world_cam exp(xi).
+
+    p_cam moves by -rho - phi x p_cam, an axis a by -phi x a.
+    """
     turning = _cross(g.p_cam, by_p_cam)
     for j in range(3):
         arm = _cross([row[j] for row in g.axes], [row[j] for row in by_axes])

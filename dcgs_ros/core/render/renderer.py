@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every renderer does: Gaussians and a camera to an image, and a gradient back.
+"""The interface of the renderers: an image of Gaussians seen by a camera, and its gradients.
 
 A Gaussian's alpha at a pixel is min(o exp(-d' Sigma_2D^-1 d / 2), ALPHA_MAX), with the projected
 covariance widened by BLUR_PX2 on its diagonal; below ALPHA_MIN it is 0. Gaussians are blended
-front to back by the depth of their means, ties in their order. The first one that would bring a
-pixel's transmittance to T_MIN or less ends that pixel, and is not blended itself. Those nearer
-than NEAR_M are not seen. The Jacobian of the projection is taken at the mean, but no further
-beyond the border of the image than MARGIN of half its size. (Kerbl et al. 2023, with the constants
-of gsplat.)
+front to back by the depth of their means, equal ones in the order of the array. The first one that
+would bring a pixel's transmittance to T_MIN or less ends that pixel and is not blended itself.
+Gaussians nearer than NEAR_M are not drawn. The Jacobian of the projection is taken at the mean,
+clamped to within MARGIN of half the image's size beyond its border. (Kerbl et al. 2023, with the
+constants of gsplat.)
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ MARGIN = 0.3
 
 
 class RenderError(DcgsError):
-    """What was asked for cannot be rendered."""
+    """The arguments cannot be rendered, or the backend is not available."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera without distortion, and where it is."""
+    """A pinhole camera without distortion, and its pose."""
 
     width: int
     height: int
@@ -47,9 +47,9 @@ class View:
     T_world_cam: NDArray[np.float64]  # (4, 4)
 
     def __post_init__(self) -> None:
-        """Refuse what no image can come of."""
+        """Check that an image can be rendered."""
         if self.width < 1 or self.height < 1:
-            raise RenderError(f'image of {self.width}x{self.height} pixels')
+            raise RenderError(f'an image of {self.width}x{self.height} pixels is empty')
         numbers = (self.fx, self.fy, self.cx, self.cy)
         if not np.all(np.isfinite(numbers)) or self.fx <= 0 or self.fy <= 0:
             raise RenderError(f'intrinsics fx fy cx cy = {numbers} are not usable')
@@ -57,8 +57,8 @@ class View:
             raise RenderError(f'pose is not a finite (4, 4) matrix: {self.T_world_cam}')
 
     @classmethod
-    def of(cls, camera: PinholeCamera, T_world_cam: NDArray, shrink: int = 1) -> View:
-        """See what `camera` would without distortion, with one pixel for each shrink x shrink."""
+    def of(cls, camera: PinholeCamera, T_world_cam: NDArray[np.floating], shrink: int = 1) -> View:
+        """Return `camera` without its distortion, with one pixel for each shrink x shrink."""
         return cls(
             camera.width // shrink, camera.height // shrink, camera.fx / shrink,
             camera.fy / shrink, (camera.cx + 0.5) / shrink - 0.5, (camera.cy + 0.5) / shrink - 0.5,
@@ -68,13 +68,13 @@ class View:
 
 @dataclass(frozen=True)
 class Rendering:
-    """One image, planar: what is composited over black, and what shines through."""
+    """One image, planar: colour and depth composited over black, and the transmittance."""
 
     planes: NDArray[np.float32]  # (5, H, W): red, green, blue, depth, transmittance
 
     @property
     def color(self) -> NDArray[np.float32]:
-        """(3, H, W) sum of w_i c_i; 0 to 1 where the Gaussians' colours are."""
+        """(3, H, W) sum of w_i c_i; 0 to 1 if the Gaussians' colours are."""
         return self.planes[:3]
 
     @property
@@ -90,24 +90,28 @@ class Rendering:
 
 @dataclass(frozen=True)
 class Gradients:
-    """Derivatives of a loss by what was rendered."""
+    """Derivatives of a loss with respect to what was rendered."""
 
-    planes: NDArray[np.float32]  # (14, N) by the parameters; valid only where touched
-    touched: NDArray[np.bool_]  # (N,) Gaussians that have any gradient
+    planes: NDArray[np.float32]  # (14, N) by the parameters; valid only if touched
+    touched: NDArray[np.bool_]  # (N,) Gaussians that have a gradient
     pose: NDArray[np.float64]  # (6,) by xi in T_world_cam exp(xi), translation first
-    weights: NDArray[np.float32]  # (N,) sum of each Gaussian's blending weight over the pixels
+    weights: NDArray[np.float32]  # (N,) each Gaussian's blending weights, summed over the pixels
 
 
 class Renderer(Protocol):
-    """A backend. Results are views of its own buffers: valid until it is called again."""
+    """A rendering backend. Results are views of its buffers, valid until its next call."""
 
     def render(self, planes: NDArray[np.float32], view: View) -> Rendering:
-        """Render the Gaussians of `planes` (14, N), as in `Splats`.
+        """Return an image of the Gaussians of `planes` (14, N), as in `Splats`.
 
-        Gaussians with parameters that are not finite are not seen. Raises `RenderError`.
+        Gaussians with parameters that are not finite are not drawn. Raises `RenderError` for
+        planes of another shape or type, and for more than the backend can hold.
         """
         ...
 
     def backward(self, gradient: NDArray[np.float32]) -> Gradients:
-        """Derive by everything, given dL / d planes (5, H, W) of the last rendering."""
+        """Return the derivatives, given dL / d planes (5, H, W) of the last rendering.
+
+        Raises `RenderError` for a gradient of another shape or type.
+        """
         ...

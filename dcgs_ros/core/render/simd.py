@@ -3,14 +3,14 @@
 """Explicit SIMD for Numba kernels: arithmetic on vectors of LANES floats, written as LLVM IR.
 
 LLVM does not vectorise the inner loops of the renderer by itself (they alias, and branch), which
-costs a factor of five. Numba lets an `@intrinsic` emit IR: a `Vector` here stands for a value of
-type <16 x float> in the code being emitted, and its operators append instructions to it. LLVM
-splits such vectors into whatever the machine has: one AVX-512 register, two of AVX2, four of SSE
-or NEON. Nothing here runs at run time, and nothing depends on the machine.
+costs a factor of five. Numba lets an `@intrinsic` emit IR: a `Vector` stands for a value of type
+<16 x float> in the code being emitted, and its operators append instructions to that code. LLVM
+splits such vectors into what the machine has: one AVX-512 register, two of AVX2, four of SSE or
+NEON. These functions run when a kernel is compiled, and do not depend on the machine.
 
-Reassociation is allowed instruction by instruction, never for the rounding trick of `exp2`. Flags
-of a kernel would break that: `jit.strict_kernel` has none. Numba's cache does not see changes made
-here: `jit` names its folder by this file's contents.
+Reassociation is allowed instruction by instruction, but not for the rounding trick of `exp2`. The
+flags of a kernel would break that: `jit.strict_kernel` has none. Numba's cache does not notice
+changes in this file: `jit` names the cache folder by its contents.
 """
 
 from __future__ import annotations
@@ -27,14 +27,17 @@ _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
 _INDEX = ir.IntType(64)
 _FLOATS, _INTS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_INT, LANES)
 _FLAGS = ('contract', 'reassoc', 'nsz', 'arcp')
-_ROUNDER = 1.5 * 2.0**23  # added to |x| < 2^22 it leaves the nearest integer in the low bits
+_ROUNDER = 1.5 * 2.0**23  # added to |x| < 2^22, leaves the nearest integer in the low bits
 _EXPONENT_BIT = 23
 _LOG2_SPLIT = 0x3F400000  # bits of 0.75: mantissas are taken from [0.75, 1.5)
-_LIMIT = 120.0  # of the exponents that exp2 is exact for
+_LIMIT = 120.0  # largest exponent that `exp` passes to exp2
 
 
 def _fitted(function: Any, low: float, high: float, degree: int) -> list[float]:
-    """Coefficients, constant first, of the polynomial with the least relative error."""
+    """Return the coefficients, constant first, of a polynomial with a small relative error.
+
+    A least squares fit at Chebyshev nodes between `low` and `high`.
+    """
     nodes = 0.5 * (high + low + (high - low) * np.cos(np.pi * (np.arange(400) + 0.5) / 400))
     values = function(nodes)
     basis = np.vander(nodes, degree + 1, increasing=True) / values[:, None]
@@ -87,7 +90,7 @@ class Vector:
     __radd__, __rmul__ = __add__, __mul__
 
     def _compared(self, operator: str, other: Any) -> Any:
-        """Lanes where it holds, as a mask; it never holds for NaN."""
+        """Return a mask of the lanes where it holds; it never holds for NaN."""
         return self.builder.fcmp_ordered(operator, self.value, self._value(other))
 
     def __gt__(self, other: Any) -> Any:
@@ -112,18 +115,18 @@ def _integers(number: int) -> Any:
 
 
 def index(number: int) -> Any:
-    """Constant index, an IR value."""
+    """Return a constant index, an IR value."""
     return ir.Constant(_INDEX, number)
 
 
 def constant(builder: Any, lanes: float | Sequence[float]) -> Vector:
-    """Make one number everywhere, or one for each lane."""
+    """Return one number in all lanes, or one number for each lane."""
     numbers = [lanes] * LANES if isinstance(lanes, int | float) else lanes
     return Vector(builder, ir.Constant(_FLOATS, [float(np.float32(x)) for x in numbers]))
 
 
 def spread(builder: Any, scalar: Any) -> Vector:
-    """Put a float computed at run time, an IR value, into every lane."""
+    """Return a float computed at run time, an IR value, in all lanes."""
     undefined = ir.Constant(_FLOATS, ir.Undefined)
     first = builder.insert_element(undefined, scalar, ir.Constant(_INT, 0))
     return Vector(builder, builder.shuffle_vector(first, undefined, _integers(0)))
@@ -135,18 +138,18 @@ def pointer(context: Any, builder: Any, array_type: Any, array: Any) -> Any:
 
 
 def scalar_at(builder: Any, base: Any, offset: int) -> Vector:
-    """Load one float, `offset` elements from `base`, into every lane."""
+    """Return the float `offset` elements behind `base` in all lanes."""
     return spread(builder, builder.load(builder.gep(base, [index(offset)])))
 
 
 def load(builder: Any, base: Any, offset: Any, align: int = 4) -> Vector:
-    """Load LANES floats from `offset` (an IR index) elements behind `base`."""
+    """Return the LANES floats from `offset` (an IR index) elements behind `base`."""
     at = builder.bitcast(builder.gep(base, [offset]), _FLOATS.as_pointer())
     return Vector(builder, builder.load(at, align=align))
 
 
 def store(builder: Any, base: Any, offset: Any, vector: Vector, align: int = 4) -> None:
-    """Store LANES floats, likewise."""
+    """Write LANES floats to `offset` (an IR index) elements behind `base`."""
     at = builder.bitcast(builder.gep(base, [offset]), _FLOATS.as_pointer())
     builder.store(vector.value, at, align=align)
 
@@ -171,7 +174,7 @@ class Accumulator:
 
 
 def both(first: Any, second: Any, *more: Any, builder: Any) -> Any:
-    """Lanes where all masks hold."""
+    """Return the lanes where all masks hold."""
     mask = builder.and_(first, second)
     for other in more:
         mask = builder.and_(mask, other)
@@ -179,23 +182,23 @@ def both(first: Any, second: Any, *more: Any, builder: Any) -> Any:
 
 
 def select(mask: Any, yes: Vector | float, no: Vector | float, builder: Any) -> Vector:
-    """Take `yes` in the lanes of the mask, else `no`."""
+    """Return `yes` in the lanes of the mask, `no` in the others."""
     values = [x.value if isinstance(x, Vector) else _constant(x) for x in (yes, no)]
     return Vector(builder, builder.select(mask, *values))
 
 
 def minimum(x: Vector, y: Vector | float) -> Vector:
-    """Smaller of both; y where x is NaN."""
+    """Return the smaller one, lane by lane; y where x is NaN."""
     return select(x < y, x, y, x.builder)
 
 
 def maximum(x: Vector, y: Vector | float) -> Vector:
-    """Larger of both; y where x is NaN."""
+    """Return the larger one, lane by lane; y where x is NaN."""
     return select(x > y, x, y, x.builder)
 
 
 def sqrt(x: Vector) -> Vector:
-    """Square root."""
+    """Return the square root, lane by lane."""
     kind = ir.FunctionType(_FLOATS, [_FLOATS])
     name = f'llvm.sqrt.v{LANES}f32'
     function = cgutils.get_or_insert_function(x.builder.module, kind, name)
@@ -203,7 +206,7 @@ def sqrt(x: Vector) -> Vector:
 
 
 def exp2(x: Vector, degree: int = 4) -> Vector:
-    """2^x for |x| < 126, garbage beyond; relative error 4e-6 (degree 4) or 2e-7 (6)."""
+    """Return 2^x for |x| < 126, undefined beyond; relative error 4e-6 (degree 4) or 2e-7 (6)."""
     builder = x.builder
     rounder = _constant(_ROUNDER)
     shifted = builder.fadd(x.value, rounder)  # no flags: this is the rounding
@@ -215,13 +218,13 @@ def exp2(x: Vector, degree: int = 4) -> Vector:
 
 
 def exp(x: Vector) -> Vector:
-    """e^x, held within 2^-120 and 2^120."""
+    """Return e^x, clamped to 2^-120 ... 2^120."""
     exponent = x * float(np.log2(np.e))
     return exp2(minimum(maximum(exponent, -_LIMIT), _LIMIT), 6)
 
 
 def log2(x: Vector) -> Vector:
-    """Logarithm of positive, normal x; absolute error 3e-7 or so."""
+    """Return log2 of positive, normal x; absolute error about 3e-7."""
     builder = x.builder
     bits = builder.bitcast(x.value, _INTS)
     whole = builder.ashr(builder.sub(bits, _integers(_LOG2_SPLIT)), _integers(_EXPONENT_BIT))
@@ -238,9 +241,9 @@ def _polynomial(x: Vector, coefficients: Sequence[float]) -> Vector:
 
 
 def sums(vectors: Sequence[Vector]) -> Vector:
-    """Add up the lanes of each of at most LANES vectors: lane k has the sum of the k-th.
+    """Return a vector whose lane k is the sum of the k-th of at most LANES vectors.
 
-    PointFactors of vectors are folded into one, in four rounds: 15 additions for 16 sums.
+    Pairs of vectors are folded into one, in four rounds: 15 additions for 16 sums.
     """
     builder = vectors[0].builder
     even = [2 * k for k in range(LANES)]

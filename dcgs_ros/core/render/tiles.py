@@ -1,9 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The kernels of the CPU renderer between projection and blending, and those that drive them.
+"""The phases of the CPU renderer: each kernel is one, and calls projection or blending.
 
-Each is one phase; its first arguments are (piece, pieces), and pieces may run in any order:
-Gaussians are split into ranges of whole groups of LANES, tiles go round the pieces.
+The first arguments of a phase are (piece, pieces); pieces may run in any order. Gaussians are
+split into ranges of whole groups of LANES; tile t belongs to piece t % pieces. Arrays: `planes`
+(14, N) float32 as in `Splats`; `camera` (22,) float32 of `camera_numbers`; `rows` (N, ROW) float32
+of `blending`; `tile_counts` (N,) int32 tiles that each Gaussian reaches; `first_slots` (N,) int64
+first row of each Gaussian in the gradient sums; `tile_starts` (T + 1,) and `tile_ends` (T,) int64
+range of each tile in the list of pairs; `pair_row`, `pair_slot` (P,) int32 Gaussian of each pair
+and its row in the gradient sums. N is a multiple of LANES.
 """
 
 from __future__ import annotations
@@ -40,16 +45,19 @@ from .projection import GRADIENTS, PROJECTED, chain, project
 from .simd import LANES
 
 _PARAMETERS = GRADIENTS - 6
-# Plain numbers would turn the arithmetic into that of doubles.
+# Plain numbers would turn the arithmetic into double precision.
 _0, _1, _HALF, _TWO = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(2.0)
 _LN_2, _TILE, _PER_TILE = np.float32(math.log(2.0)), np.float32(TILE), np.float32(1.0 / TILE)
 _LOG2_ALPHA_MIN = np.float32(LOG2_ALPHA_MIN)
-_SORT_BITS = 9  # of a pass; three of them order depths exactly up to a ratio of 2^16
+_SORT_BITS = 9  # of a pass; three passes order depths exactly up to a ratio of 2^16
 
 
 @strict_inlined
 def _aligned(size):
-    """Floats that start a cache line: a vector that straddles two costs twice."""
+    """Return (size,) float32, uninitialised, that starts on a cache line.
+
+    A vector across two cache lines takes twice as long to load.
+    """
     raw = np.empty(size + LANES, np.float32)
     first = (-(raw.ctypes.data >> 2)) & (LANES - 1)
     return raw[first : first + size]
@@ -57,13 +65,17 @@ def _aligned(size):
 
 @strict_inlined
 def _range(piece, pieces, count):
+    """Return the first Gaussian of a piece and the one after its last."""
     groups = count // LANES
     return piece * groups // pieces * LANES, (piece + 1) * groups // pieces * LANES
 
 
 @strict_inlined
 def _span(low, high, tiles):
-    """First and last tile of so many that the interval meets; last < first where none."""
+    """Return the first and last of `tiles` tiles that an interval, pixels, meets.
+
+    If it meets none, last < first.
+    """
     first = int(max(low, _0) * _PER_TILE)
     last = int(min(max(high, -_1), tiles * _TILE - _1) * _PER_TILE)
     return first, last if high >= _0 else -1
@@ -71,10 +83,11 @@ def _span(low, high, tiles):
 
 @strict_inlined
 def _tile_columns(row, tile_y, tiles_x):
-    """First and last tile of a row of tiles that the ellipse of ALPHA_MIN reaches.
+    """Return the first and last tile, in row `tile_y` of tiles, that a Gaussian reaches.
 
-    Within a band of y the ellipse goes furthest to the right where it does so at all, or at the
-    nearest end of the band.
+    `row` (ROW,) float32 of `blending`; the Gaussian reaches what its ellipse of ALPHA_MIN meets.
+    In a band of y the ellipse's rightmost point is that of the whole ellipse, or the one at the
+    end of the band nearest to it.
     """
     a, b, c = row[A] * _LN_2, row[B] * _LN_2, row[C] * _LN_2
     squared = _TWO * _LN_2 * (row[LOG2_OPACITY] - _LOG2_ALPHA_MIN)
@@ -93,7 +106,11 @@ def _tile_columns(row, tile_y, tiles_x):
 
 @strict_kernel
 def project_all(piece, pieces, planes, camera, tiles_x, tiles_y, rows, tile_counts, histogram):
-    """Project; count the tiles of each Gaussian, and the Gaussians of each tile in this piece."""
+    """Project the piece's Gaussians and count their pairs with tiles.
+
+    Writes `rows` (N, ROW), `tile_counts` (N,) and row `piece` of `histogram` (pieces, T) int64:
+    the piece's Gaussians in each tile. Reads `planes` (14, N) and `camera` (22,).
+    """
     first, last = _range(piece, pieces, planes.shape[1])
     counts = histogram[piece]
     counts[:] = 0
@@ -124,9 +141,10 @@ def project_all(piece, pieces, planes, camera, tiles_x, tiles_y, rows, tile_coun
 
 @strict_kernel
 def lay_out(tile_counts, histogram, first_slots, tile_starts):
-    """Turn counts into places: of a Gaussian's pairs, of a tile's, of a piece's in a tile.
+    """Turn counts into positions; return the number of pairs.
 
-    Returns how many pairs there are.
+    Writes `first_slots` (N,) and `tile_starts` (T + 1,), and turns the counts in `histogram`
+    (pieces, T) into the place of each piece's first pair in a tile. Reads `tile_counts` (N,).
     """
     slot = 0
     for i in range(len(tile_counts)):
@@ -147,7 +165,11 @@ def lay_out(tile_counts, histogram, first_slots, tile_starts):
 def scatter(
     piece, pieces, tiles_x, tiles_y, rows, tile_counts, first_slots, places, pair_row, pair_slot
 ):
-    """Write each pair of Gaussian and tile into its tile's list."""
+    """Write the piece's pairs of Gaussian and tile into the lists of their tiles.
+
+    Writes `pair_row`, `pair_slot` (P,) and advances row `piece` of `places` (pieces, T), the
+    histogram of `lay_out`. Reads `rows` (N, ROW), `tile_counts` and `first_slots` (N,).
+    """
     first, last = _range(piece, pieces, len(tile_counts))
     next_place = places[piece]
     for i in range(first, last):
@@ -170,7 +192,11 @@ def scatter(
 
 @strict_kernel
 def _sort(first, last, pair_row, pair_slot, depth_bits, scratch):
-    """Order the pairs of a tile by depth, stably: radix over the floats' bits."""
+    """Sort the pairs first to last - 1, those of a tile, by depth: stable radix sort of bits.
+
+    Reorders `pair_row` and `pair_slot` (P,). Reads `depth_bits` (N, ROW) int32, the bits of
+    `rows`; `scratch` (6, L) int32 with L >= last - first is overwritten.
+    """
     n = last - first
     keys, rows, slots = scratch[0], scratch[1], scratch[2]
     low = depth_bits[pair_row[first], DEPTH]
@@ -216,9 +242,10 @@ def _sort(first, last, pair_row, pair_slot, depth_bits, scratch):
 
 @strict_inlined
 def _block_bounds(row, left, top):
-    """Blocks of the tile at (left, top) that a Gaussian reaches: x0, x1, y0, y1.
+    """Return the first and last column and row of a tile's blocks that a Gaussian reaches.
 
-    Pixels are those with a centre in reach, ceil(low) to floor(high); casting cuts off towards 0.
+    `row` (ROW,) float32; (left, top) is the tile's corner, pixels. The pixels are those whose
+    centre is within reach, ceil(low) to floor(high); casting rounds towards 0.
     """
     x, y = row[X] - left - _HALF, row[Y] - top - _HALF
     x0 = int(min(max(x - row[REACH_X] + _1, _0), _TILE))
@@ -234,7 +261,12 @@ def _block_bounds(row, left, top):
 def blend_tiles(
     piece, pieces, tiles_x, tile_starts, rows, depth_bits, pair_row, pair_slot, tile_ends, image
 ):
-    """Sort and blend every pieces-th tile into image (5, H, W)."""
+    """Sort and blend the Gaussians of each of the piece's tiles.
+
+    Writes `image` (5, H, W) float32, as in `Rendering`, and `tile_ends` (T,): the first pair that
+    was not blended. Sorts `pair_row` and `pair_slot` (P,) by tile. Reads `tile_starts` (T + 1,),
+    `rows` (N, ROW) and `depth_bits`, the same memory as int32.
+    """
     height, width = image.shape[1:]
     tile = _aligned(FORWARD_SIZE)
     longest = 0
@@ -275,7 +307,12 @@ def blend_tiles_backward(
     piece, pieces, tiles_x, tile_starts, tile_ends, rows, pair_row, pair_slot, image, gradient,
     out,
 ):  # fmt: skip
-    """Sum up derivatives of every pieces-th tile: one row of `out` a pair, zeros where unseen."""
+    """Sum the derivatives over the pixels of each of the piece's tiles.
+
+    Writes `out` (P, ROW) float32, one row for each pair, 0 for pairs behind the end of the tile.
+    Reads `tile_starts`, `tile_ends`, `rows`, `pair_row`, `pair_slot`, and `image` and `gradient`
+    (5, H, W) float32.
+    """
     height, width = image.shape[1:]
     tile = _aligned(BACKWARD_SIZE)
     for t in range(piece, len(tile_ends), pieces):
@@ -310,7 +347,12 @@ def chain_all(
     piece, pieces, planes, camera, tile_counts, first_slots, pair_sums, gradients, touched,
     weights, pose,
 ):  # fmt: skip
-    """Add up the pairs of each Gaussian and apply the chain rule; sum the pose's in its piece."""
+    """Add up the pairs of each of the piece's Gaussians, and apply the chain rule.
+
+    Writes `gradients` (14, N) float32 by the parameters, `touched` (N,) bool, `weights` (N,)
+    float32 blending weights summed over pixels, and row `piece` of `pose` (pieces, 6) float64 by
+    xi. Reads `planes`, `camera`, `tile_counts`, `first_slots` and `pair_sums` (P, ROW).
+    """
     first, last = _range(piece, pieces, planes.shape[1])
     summed, active = _aligned(SUMS * LANES), _aligned(LANES)
     out = _aligned(GRADIENTS * LANES)

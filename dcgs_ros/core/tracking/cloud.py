@@ -16,10 +16,10 @@ from ..kernels.jit import kernel, parallel_kernel
 from ..kernels.small_matrix import eigenvalues_symmetric, smallest_eigenvector
 from ..sensor import SensorNoise
 
-_MIN_SCATTER = 5  # neighbours below which a scatter says nothing
-_SLOPE = 4.0  # depth change over the window that is still one surface, in window widths
+_MIN_SCATTER = 5  # fewest neighbours of which a scatter is computed
+_SLOPE = 4.0  # largest depth change over the window within one surface, in window widths
 _ROUGH_SIGMAS = 8.0  # ... plus this many sigma_z of noise
-_SAMPLE, _FIT = 1, 2  # cell holds nothing / a depth / a depth with a normal
+_SAMPLE, _FIT = 1, 2  # status of a cell with a depth / with a depth and a normal; 0: without
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,15 @@ class FrameCloud:
     samples: int  # cells with usable depth, normal or not
 
     def __len__(self) -> int:
-        """Count the points."""
+        """Return the number of points."""
         return len(self.points)
 
-    def __getitem__(self, keep: NDArray) -> FrameCloud:
-        """Select a subset; `samples` stays that of the whole image."""
+    def __getitem__(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> FrameCloud:
+        """Return the points of a mask or of indices; `samples` stays that of the whole image."""
         return FrameCloud(self.points[keep], self.normals[keep], self.flatness[keep], self.samples)
 
     def moved(self, T: NDArray[np.float64]) -> FrameCloud:
-        """Points and normals transformed by T: to the colour's instant, for one."""
+        """Return the cloud transformed by T (4, 4): to the colour's instant, for example."""
         R = T[:3, :3].astype(np.float32)
         points = self.points @ R.T + T[:3, 3].astype(np.float32)
         normals = np.ascontiguousarray(self.normals @ R.T)
@@ -55,10 +55,11 @@ def sample_cloud(
     stride_px: int,
     seed: int,
 ) -> FrameCloud:
-    """One pixel of each stride x stride cell, at a place that `seed` jitters.
+    """Return one point of each stride x stride cell, at a pixel that `seed` varies.
 
-    n_i is the smallest eigenvector of the scatter Q_i of the neighbours on the same surface. Cells
-    at depth edges, with too few neighbours, or seen at a grazing angle are left out.
+    n_i is the eigenvector of the smallest eigenvalue of Q_i, the scatter of the neighbours on the
+    same surface. Cells at depth edges, with too few neighbours, or seen at a grazing angle give no
+    point.
     """
     height, width = depth_m.shape
     cells = (height // stride_px) * (width // stride_px)
@@ -82,9 +83,9 @@ def measurement_covariances(
     footprint: float,
     radius_m: float,
 ) -> NDArray[np.float32]:
-    """D_i = S(v_i, |a_i|; p_d) + r^2 (I - n_i n_i^T), (N, 6) xx xy xz yy yz zz, square metres.
+    """Return D_i = S(v_i, |a_i|; p_d) + r^2 (I - n_i n_i^T), square metres, camera frame.
 
-    `footprint` is p_d / f. With r = 0 it is S alone.
+    It is (N, 6): xx xy xz yy yz zz. `footprint` is p_d / f; r = `radius_m`, with 0 it is S alone.
     """
     out = np.empty((len(points), 6), np.float32)
     _covariances(points, normals, sensor.a_m, sensor.b_per_m, footprint, radius_m**2, out)
@@ -96,9 +97,16 @@ def _sample(
     depth, rays, stride, dilation, half, min_share, min_cosine, noise_a, noise_b, z_min, z_max,
     seed, points, normals, flatness, status,
 ):  # fmt: skip
+    """Write a point, its normal and its flatness for each cell of a depth image.
+
+    `depth` (H, W) metres, `rays` (H, W, 2) undistorted x/z and y/z; `stride` and `dilation` in
+    pixels, noise and depth range in metres. Writes, for C = (H // stride) (W // stride) cells,
+    `points` (C, 3) metres, `normals` (C, 3) unit, `flatness` (C,) float32 and `status` (C,) uint8;
+    the first three only where `status` is _FIT. `status` starts as zeros.
+    """
     height, width = depth.shape
     cells_y, cells_x = height // stride, width // stride
-    # Every second neighbour, as on a chessboard: the same span at half the price.
+    # Every second neighbour, as on a chessboard: the same extent at half the cost.
     needed = max(_MIN_SCATTER, min_share * ((2 * half + 1) ** 2 // 2 + 1))
     for cell_y in prange(cells_y):
         for cell_x in range(cells_x):
@@ -160,6 +168,11 @@ def _sample(
 
 @kernel
 def _covariances(points, normals, noise_a, noise_b, footprint, radius2, out):
+    """Write D_i into `out` (N, 6) float32, xx xy xz yy yz zz, square metres.
+
+    `points` (N, 3) metres, `normals` (N, 3) unit, both in the camera frame; `noise_a` in metres,
+    `noise_b` in 1/metre, `footprint` p_d / f, `radius2` in square metres.
+    """
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         range2 = x * x + y * y + z * z

@@ -25,7 +25,7 @@ from .motion import ConstantVelocity
 from .registration import DepthTerm, Registration, register, start_from_landmarks
 
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
-_SUSPICIOUS = 0.6  # share of the last frame's overlap below which a second start is tried
+_SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the start
 _LANDMARK_ABLATIONS = ('full', 'shared_klt')
 
 
@@ -85,22 +85,33 @@ def estimate(
     frame: RgbdFrame, memory: Memory, gaussians: GaussianMap, camera: PinholeCamera, config: Config
 ) -> Estimate:
     """Register a frame against the map; reads its arguments and changes none of them."""
-    settings, grey = config.registration, to_grey(frame.color)
-    prior = memory.motion.prior(frame.stamp_ns)  # constant velocity
-    cloud = sample(frame, camera, config, config.cloud.stride_px)  # III-C: a_i, n_i
-    followed = _followed(grey, memory, prior, camera, config)  # III-D: KLT
-    landmarks, image = _measured(followed, frame, memory, prior, camera, config)  # III-D: a_l, S_l
-    T_start, by_landmarks = _start(prior, image, config)
-    depth = _depth_term(T_start, by_landmarks, cloud, frame, memory, gaussians, camera, config)
-    search_m = settings.radius_m if by_landmarks else settings.guess_radius_m
-    found = register(T_start, depth, image, config, search_m)  # III-E: joint LM
-    if found.overlap < _SUSPICIOUS * memory.overlap and by_landmarks:  # misled by the landmarks?
-        other = register(prior.T_world_cam, depth, image, config, settings.guess_radius_m)
-        found = max(found, other, key=lambda result: result.overlap)
+    grey = to_grey(frame.color)
+
+    # The motion so far, continued at constant velocity.
+    prior = memory.motion.prior(frame.stamp_ns)
+
+    # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
+    landmarks = _followed(grey, memory, prior, camera, config)
+    landmarks, image = _measured(landmarks, frame, memory, prior, camera, config)
+
+    # The landmarks alone give a start, where there are enough.
+    start = _start(frame, memory, prior, image, config)
+
+    # III-B and III-C, depth residual: a_i, n_i and D_i at colour's instant, targets with Sigma_t.
+    cloud = sample(frame, camera, config, config.cloud.stride_px)
+    cloud = cloud.moved(memory.depth_motion(frame, start.T_world_cam))
+    depth = DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
+
+    # III-E, joint Levenberg-Marquardt; from the prediction too where landmarks misled the start.
+    found = register(start.T_world_cam, depth, image, config, start.search_m)
+    if start.by_landmarks and found.overlap < _SUSPICIOUS * memory.overlap:
+        search_m = config.registration.guess_radius_m
+        second = register(prior.T_world_cam, depth, image, config, search_m)
+        found = max(found, second, key=lambda result: result.overlap)
+
     T = found.T_world_cam
-    return Estimate(
-        RegisteredFrame(frame, T, memory.depth_motion(frame, T), grey), found, landmarks
-    )
+    registered = RegisteredFrame(frame, T, memory.depth_motion(frame, T), grey)
+    return Estimate(registered, found, landmarks)
 
 
 def uses_landmarks(config: Config) -> bool:
@@ -157,32 +168,30 @@ def _measured(
     return landmarks, image if len(landmarks) else None
 
 
+@dataclass(frozen=True)
+class _Start:
+    """Where the joint registration begins."""
+
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+    search_m: float  # how far the first association looks
+    by_landmarks: bool
+    Q: NDArray[np.float64] | None  # (6, 6) of the motion between depth's and colour's instants
+
+
 def _start(
-    prior: PosePrior, image: PointFactors | None, config: Config
-) -> tuple[NDArray[np.float64], bool]:
-    """Return the pose (4, 4) to start from, and whether it is one by enough landmarks."""
-    if image is None or len(image.points) < config.landmarks.min_start:
-        return prior.T_world_cam, False
-    return start_from_landmarks(prior, image), True
-
-
-def _depth_term(
-    T_start: NDArray[np.float64],
-    by_landmarks: bool,
-    cloud: FrameCloud,
     frame: RgbdFrame,
     memory: Memory,
-    gaussians: GaussianMap,
-    camera: PinholeCamera,
+    prior: PosePrior,
+    image: PointFactors | None,
     config: Config,
-) -> DepthTerm:
-    """Bring the cloud to the colour's instant, III-B and III-C: D_i, and Sigma_t of its targets.
+) -> _Start:
+    """Start from enough landmarks, or else from the prediction.
 
-    The motion in between is uncertain, which limits what all the points say together. Where the
-    start is a mere prediction the depth has to find the pose by itself, unlimited.
+    The motion between the two instants is uncertain, which limits what all the depth says. A mere
+    prediction is no better: there the depth has to find the pose by itself, without that limit.
     """
-    Q = None
-    if by_landmarks:
-        Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
-    moved = cloud.moved(memory.depth_motion(frame, T_start))
-    return DepthTerm(moved, gaussians, camera.focal, config, Q)
+    settings = config.registration
+    if image is None or len(image.points) < config.landmarks.min_start:
+        return _Start(prior.T_world_cam, settings.guess_radius_m, False, None)
+    Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
+    return _Start(start_from_landmarks(prior, image), settings.radius_m, True, Q)

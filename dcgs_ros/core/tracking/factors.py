@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Point pairs with covariances, and their normal equations on SE(3)."""
+"""Points matched to the map, with covariances, and their normal equations on SE(3)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Targets:
 
     points: NDArray[np.float32]  # (N, 3) metres, world
     axes: NDArray[np.float32]  # (N, 3) unit u, world
-    perp: NDArray[np.float32]  # (N,) variance across u; negative: no pair
-    along: NDArray[np.float32]  # (N,) variance along u
+    perp: NDArray[np.float32]  # (N,) variance across u, square metres; negative: no match
+    along: NDArray[np.float32]  # (N,) variance along u, square metres
 
-    def __getitem__(self, keep: NDArray) -> Targets:
-        """Select a subset."""
+    def __getitem__(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Targets:
+        """Return the targets of a mask or of indices."""
         return Targets(self.points[keep], self.axes[keep], self.perp[keep], self.along[keep])
 
     @property
@@ -39,9 +39,12 @@ class Targets:
 
 
 def observed_from(
-    points: NDArray[np.float32], viewpoints: NDArray, sensor: SensorNoise, anchor: float
+    points: NDArray[np.float32],  # (N, 3) metres, world
+    viewpoints: NDArray[np.floating],  # (N, 3) metres, world
+    sensor: SensorNoise,
+    anchor: float,
 ) -> Targets:
-    """Points (N, 3) with Sigma_t = S(u, z; p) seen from their viewpoints; `anchor` is p / f."""
+    """Return points with Sigma_t = S(u, z; p) as seen from their viewpoints; `anchor` is p / f."""
     rays = points - viewpoints
     ranges = np.linalg.norm(rays, axis=1)
     return Targets(
@@ -61,20 +64,21 @@ class NormalEquations:
     cost: float
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
-        """Join two terms of the cost."""
+        """Return the equations of the sum of two costs."""
         return NormalEquations(self.H + other.H, self.g + other.g, self.cost + other.cost)
 
     def limited(self, Q: NDArray[np.float64]) -> NormalEquations:
-        """Marginalise a common motion of all the points, of covariance Q (6, 6), out of the term.
+        """Return the equations with a common motion of all points, covariance Q (6, 6), removed.
 
-        However many points agree, what they say of the pose is no better than Q.
+        It is marginalised: however many the points, their information on the pose is limited to
+        that of Q.
         """
         M = np.eye(6) + self.H @ Q
         H, g = np.linalg.solve(M, self.H), np.linalg.solve(M, self.g)
         return NormalEquations(0.5 * (H + H.T), g, self.cost - float(self.g @ Q @ g))
 
     def step(self, damping: float) -> NDArray[np.float64]:
-        """Solve (H + damping diag(H)) xi = g, Levenberg-Marquardt's scaling by Marquardt."""
+        """Return the solution xi (6,) of (H + damping diag(H)) xi = g (Marquardt's scaling)."""
         diagonal = np.diag(self.H)
         xi: NDArray[np.float64] = np.linalg.solve(
             self.H + np.diag(damping * diagonal + 1e-9), self.g
@@ -83,10 +87,10 @@ class NormalEquations:
 
 
 class Factor(Protocol):
-    """One term of the cost."""
+    """A term of the cost."""
 
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
-        """Linearise at a pose."""
+        """Return the term linearised at a pose (4, 4)."""
         ...
 
 
@@ -94,12 +98,12 @@ class Factor(Protocol):
 class PosePrior:
     """A pose known beforehand, with independent errors in its own frame."""
 
-    T_world_cam: NDArray[np.float64]
+    T_world_cam: NDArray[np.float64]  # (4, 4)
     sigma_m: float
     sigma_rad: float
 
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
-        """Residual log(T^-1 T_prior); its Jacobian is the identity to first order."""
+        """Return the term of the residual log(T^-1 T_prior), with the identity as Jacobian."""
         residual = se3.log(se3.inverse(T_world_cam) @ self.T_world_cam)
         information = np.repeat([self.sigma_m**-2, self.sigma_rad**-2], 3)
         g = information * residual
@@ -111,31 +115,31 @@ class PointFactors:
     """Measured points a_i with covariances D_i in the camera frame, each with its target.
 
     The residual, in the camera frame, is e_i = R^T (mu_i - t) - a_i with
-    Omega_i = R^T Sigma_i R + D_i: the paper's d_i and Omega_i turned by R^T, which leaves the cost
-    as it is and D_i constant while the pose moves.
+    Omega_i = R^T Sigma_i R + D_i: the paper's d_i and Omega_i rotated by R^T, which does not
+    change the cost and keeps D_i constant while the pose moves.
     """
 
     points: NDArray[np.float32]  # (N, 3) metres, camera
     covariances: NDArray[np.float32]  # (N, 6) xx xy xz yy yz zz, square metres, camera
     targets: Targets
-    normals: NDArray[np.float32] | None = None  # (N, 3) n_i of depth pairs, unit, camera
-    huber: float = math.inf  # delta on sqrt(chi2)
+    normals: NDArray[np.float32] | None = None  # (N, 3) n_i of depth points, unit, camera
+    huber: float = math.inf  # delta, in units of sqrt(chi2)
     weight: float = 1.0
     Q: NDArray[np.float64] | None = None  # (6, 6) covariance of a motion common to all points
 
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
-        """Sum of J^T Omega^-1 J and J^T Omega^-1 e with J = [I, -[a]x], Huber reweighted."""
+        """Return the sums of J^T Omega^-1 J and J^T Omega^-1 e, J = [I, -[a]x], Huber weighted."""
         equations = self._summed(T_world_cam)[0]
         return equations if self.Q is None else equations.limited(self.Q)
 
     def chi2(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Squared Mahalanobis distances e^T Omega^-1 e (N,); NaN where there is no pair."""
+        """Return (N,) squared Mahalanobis distances e^T Omega^-1 e; NaN without a match."""
         return self._summed(T_world_cam)[1]
 
     def across_rays(self) -> PointFactors:
-        """Pairs that only hold across the ray to each point: what the image alone measured.
+        """Return factors that constrain only across the rays: what the image alone measured.
 
-        The depth along it, taken from the depth image, gets a variance of 1 m^2.
+        Along the ray, where the point is from the depth image, the variance grows by 1 m^2.
         """
         v = self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
         x, y, z = v.T
@@ -153,10 +157,10 @@ class PointFactors:
         return _unpacked(sums, self.weight), chi2
 
     def along_normals(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
-        """Linearise the components along the normals n_i alone: point to plane.
+        """Return the term of the residuals along the normals n_i alone: point to plane.
 
-        They are what remains when the association radius r grows without bound, so none of the
-        tangential information in them stems from r.
+        This is the limit of an infinite association radius r: none of its tangential information
+        comes from r.
         """
         sums = np.zeros((7, 7))
         t = self.targets
@@ -168,6 +172,7 @@ class PointFactors:
 
 
 def _unpacked(sums: NDArray[np.float64], weight: float) -> NormalEquations:
+    """Return the weighted equations of the upper triangle of sums (7, 7)."""
     upper = weight * np.triu(sums)
     full = upper + np.triu(upper, 1).T
     return NormalEquations(full[:6, :6], full[:6, 6], float(full[6, 6]))
@@ -175,9 +180,11 @@ def _unpacked(sums: NDArray[np.float64], weight: float) -> NormalEquations:
 
 @kernel
 def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total, chi2):
-    """Upper triangle of [J e]^T Omega^-1 [J e] into `total` (7, 7).
+    """Add the upper triangle of [J e]^T Omega^-1 [J e] to `total` (7, 7); write `chi2` (N,).
 
-    One thread: the work is less than waking a second one costs.
+    `points` (N, 3) metres and `covariances` (N, 6) square metres, camera; `targets` (N, 3) metres
+    and `axes` (N, 3) unit, world; `perp` and `along` (N,) square metres; `T` (4, 4) T_world_cam;
+    `huber` in units of sqrt(chi2). One thread: waking a second one would cost more than it saves.
     """
     r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
     r10, r11, r12 = T[1, 0], T[1, 1], T[1, 2]
@@ -238,6 +245,10 @@ def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total
 
 @kernel
 def _accumulate_along(points, covariances, normals, targets, axes, perp, along, T, total):
+    """Add the upper triangle of the point-to-plane terms to `total` (7, 7), as `_accumulate`.
+
+    `normals` (N, 3) unit, camera; the other arguments are those of `_accumulate`.
+    """
     row = np.zeros(7)
     for i in range(points.shape[0]):
         if perp[i] < 0.0:

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The map: Gaussians as a structure of arrays, with what the tracker owns of each."""
+"""The tracker's map: Gaussians as a structure of arrays."""
 
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from numba import prange
@@ -16,20 +17,23 @@ from ..kernels.lens import distortion_at
 from ..kernels.spatial_index import VoxelIndex
 from ..sensor import SensorNoise
 
-_IN_VIEW_SIGMAS = 4.0  # a Gaussian is seen where the measured depth agrees with it to this
-_IN_VIEW_FLOOR_M = 0.01
-_AGREES, _LOOKED_THROUGH = 1, 2  # what a depth image says of a Gaussian in view; 0: nothing
+_IN_VIEW_SIGMAS = 4.0  # a Gaussian is seen if the measured depth agrees within this many sigma_z
+_IN_VIEW_FLOOR_M = 0.01  # ... plus this
+_AGREES, _LOOKED_THROUGH = 1, 2  # verdict of a depth image on a Gaussian in view; 0: none
+
+
+Scalar = TypeVar('Scalar', bound=np.generic)
 
 
 class GaussianMap:
-    """Means, normals and the viewpoints from which Sigma_t follows.
+    """Means, normals, and the viewpoints that determine Sigma_t.
 
-    Arrays have one row a slot; the properties show the used ones. The slot of a removed Gaussian
-    is used again, its id never.
+    Arrays have one row for each slot; the properties show the used ones. The slot of a removed
+    Gaussian is used again, its id is not.
     """
 
     def __init__(self, cell_m: float) -> None:
-        """Start empty; `cell_m` is the cell of the spatial index."""
+        """Start empty; `cell_m` is the size of the cells of the spatial index, metres."""
         self.index = VoxelIndex(cell_m)
         self._means = np.empty((0, 3), np.float32)
         self._normals = np.empty((0, 3), np.float32)
@@ -43,7 +47,7 @@ class GaussianMap:
         self._next_id = 0
 
     def __len__(self) -> int:
-        """Count the Gaussians alive."""
+        """Return the number of Gaussians."""
         return self._used - len(self._free)
 
     @property
@@ -53,7 +57,7 @@ class GaussianMap:
 
     @property
     def normals(self) -> NDArray[np.float32]:
-        """(M, 3) unit, world: minimum-scale axis n_j of Sigma_r, of the scatter until mapped."""
+        """(M, 3) unit, world: minimum-scale axis n_j of Sigma_r; until mapped, of the scatter."""
         return self._normals[: self._used]
 
     @property
@@ -63,12 +67,12 @@ class GaussianMap:
 
     @property
     def flatness(self) -> NDArray[np.float32]:
-        """(M,) lambda3 / lambda2 of Sigma_r (of the scatter until mapped)."""
+        """(M,) lambda3 / lambda2 of Sigma_r; until mapped, of the scatter."""
         return self._flatness[: self._used]
 
     @property
     def ids(self) -> NDArray[np.int64]:
-        """(M,) identity over the map's whole life, -1 in a free slot."""
+        """(M,) ids, which never change; -1 in a free slot."""
         return self._ids[: self._used]
 
     @property
@@ -81,10 +85,10 @@ class GaussianMap:
         means: NDArray[np.float32],  # (N, 3) metres, world
         normals: NDArray[np.float32],  # (N, 3) unit, world
         flatness: NDArray[np.float32],  # (N,)
-        viewpoint: NDArray,  # (3,) metres, world
+        viewpoint: NDArray[np.float64],  # (3,) metres, world
         host: int,
     ) -> NDArray[np.int64]:
-        """Spawn Gaussians; returns their ids."""
+        """Add Gaussians; return their ids (N,)."""
         ids = np.arange(self._next_id, self._next_id + len(means), dtype=np.int64)
         self._next_id += len(means)
         self._insert(ids, means, normals, flatness, viewpoint, host)
@@ -100,14 +104,19 @@ class GaussianMap:
         hosts: NDArray[np.int32],  # (N,)
         next_id: int,
     ) -> None:
-        """Fill an empty map with Gaussians of an earlier life; new ids begin at `next_id`."""
+        """Fill an empty map with saved Gaussians; new ids start at `next_id`."""
         self._next_id = next_id
         self._insert(ids, means, normals, flatness, viewpoints, hosts)
 
     def _insert(
-        self, ids: NDArray, means: NDArray, normals: NDArray, flatness: NDArray,
-        viewpoints: NDArray, hosts: NDArray | int,
-    ) -> None:  # fmt: skip
+        self,
+        ids: NDArray[np.int64],
+        means: NDArray[np.float32],
+        normals: NDArray[np.float32],
+        flatness: NDArray[np.float32],
+        viewpoints: NDArray[np.floating],  # (N, 3) or (3,)
+        hosts: NDArray[np.int32] | int,
+    ) -> None:
         slots = self._claim(len(ids))
         held = len(self._slot_of_id)
         self._slot_of_id = _grown(self._slot_of_id, self._next_id)
@@ -122,7 +131,7 @@ class GaussianMap:
         self.index.insert(self._means, slots)
 
     def remove(self, ids: NDArray[np.int64]) -> None:
-        """Take Gaussians out; unknown ids and those gone already are passed over."""
+        """Remove Gaussians; unknown ids and those already removed are ignored."""
         slots = np.unique(self._slots(ids))
         self.index.remove(self._means, slots)
         self._slot_of_id[self._ids[slots]] = -1
@@ -136,10 +145,11 @@ class GaussianMap:
         normals: NDArray[np.float32],  # (N, 3) unit, world
         flatness: NDArray[np.float32],  # (N,)
     ) -> None:
-        """Take over what the mapper made of Sigma_r; ids that are not alive are passed over.
+        """Update normals and flatness from the mapper's Sigma_r; removed ids are ignored.
 
-        A normal goes half the way to it: Sigma_r's axes wander while it is optimised, and taken as
-        they are they cost the tracker 5 %. Of an axis either direction is as good.
+        A normal moves half the way to the new axis: the axes of Sigma_r fluctuate while it is
+        optimised, and taken as they are they cost the tracker 5 %. The sign of an axis does not
+        matter.
         """
         alive = self.alive(ids)
         slots, normals = self._slot_of_id[ids[alive]], normals[alive]
@@ -150,13 +160,13 @@ class GaussianMap:
         self._flatness[slots] = flatness[alive]
 
     def alive(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which ids are of Gaussians in the map."""
+        """Return (N,) whether each id is of a Gaussian in the map."""
         known = (ids >= 0) & (ids < self._next_id)
         known[known] = self._slot_of_id[ids[known]] >= 0
         return known
 
     def of(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return means (N, 3) and normals (N, 3) of those alive."""
+        """Return means (K, 3), metres, and normals (K, 3) of the ids that are in the map."""
         slots = self._slots(ids)
         return self._means[slots], self._normals[slots]
 
@@ -164,7 +174,7 @@ class GaussianMap:
         return np.asarray(self._slot_of_id[ids[self.alive(ids)]])
 
     def _claim(self, n: int) -> NDArray[np.int32]:
-        """Slots for n Gaussians: free ones first, then new ones."""
+        """Return slots (n,) for new Gaussians: free ones first, then new ones."""
         reused = [self._free.pop() for _ in range(min(n, len(self._free)))]
         fresh = range(self._used, self._used + n - len(reused))
         self._used = fresh.stop
@@ -175,7 +185,7 @@ class GaussianMap:
     def tracking_covariances(
         self, slots: NDArray[np.int32], sensor: SensorNoise, anchor_px: float, focal_px: float
     ) -> NDArray[np.float64]:
-        """Sigma_t,j = S(u_j, z_j; p) from the last viewpoint, (N, 3, 3) square metres, world."""
+        """Return Sigma_t,j = S(u_j, z_j; p), (N, 3, 3) square metres, world."""
         rays = (self._means[slots] - self._viewpoints[slots]).astype(np.float64)
         ranges = np.linalg.norm(rays, axis=1)
         return sensor.covariance(rays / ranges[:, None], ranges, anchor_px, focal_px)
@@ -187,10 +197,10 @@ class GaussianMap:
         camera: PinholeCamera,
         sensor: SensorNoise,
     ) -> int:
-        """Take T's optical centre as viewpoint of the Gaussians that the depth image sees.
+        """Make T's optical centre the viewpoint of the Gaussians that a depth image (H, W) sees.
 
         Sigma_t is then the noise of the most recent observation (paper, tracking covariance).
-        Returns how many were seen.
+        Return the number of Gaussians seen.
         """
         seen = self._compared(T_world_cam, depth_m, camera, sensor) == _AGREES
         self.viewpoints[seen] = T_world_cam[:3, 3]
@@ -203,10 +213,11 @@ class GaussianMap:
         camera: PinholeCamera,
         sensor: SensorNoise,
     ) -> float:
-        """Share of the Gaussians in view that a depth image from T sees, of those it should see.
+        """Return the share of the Gaussians in view that a depth image (H, W) from T sees.
 
-        It should not see those behind what it measured. One that it looks through tells that the
-        camera is not there, however well the frame fits to what else the map holds.
+        Those behind the measured depth are hidden and do not count. Those in front of it should
+        have been seen: if there are many, the pose is wrong, however well the frame fits the rest
+        of the map.
         """
         verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
         seen = int(np.count_nonzero(verdicts == _AGREES))
@@ -214,8 +225,13 @@ class GaussianMap:
         return seen / max(seen + looked_through, 1)
 
     def _compared(
-        self, T: NDArray, depth_m: NDArray, camera: PinholeCamera, sensor: SensorNoise
+        self,
+        T: NDArray[np.float64],
+        depth_m: NDArray[np.float32],
+        camera: PinholeCamera,
+        sensor: SensorNoise,
     ) -> NDArray[np.uint8]:
+        """Return the verdict (M,) of a depth image on each slot."""
         verdicts = np.zeros(self._used, np.uint8)
         _compare(
             self.means, T, depth_m, camera.parameters, sensor.a_m, sensor.b_per_m, verdicts
@@ -223,7 +239,7 @@ class GaussianMap:
         return verdicts
 
 
-def _grown(array: NDArray, needed: int) -> NDArray:
+def _grown(array: NDArray[Scalar], needed: int) -> NDArray[Scalar]:
     """Return `array` with room for `needed` rows, at least doubled: appending costs O(1) each."""
     if needed <= len(array):
         return array
@@ -234,6 +250,11 @@ def _grown(array: NDArray, needed: int) -> NDArray:
 
 @parallel_kernel
 def _compare(means, T, depth, camera, noise_a, noise_b, verdicts):
+    """Write into `verdicts` (M,) uint8, zeros before, what a depth image says of each Gaussian.
+
+    `means` (M, 3) metres, world, NaN in a free slot; `T` (4, 4) T_world_cam; `depth` (H, W)
+    metres; `camera` (12,) of `PinholeCamera.parameters`; noise in metres and 1/metre.
+    """
     height, width = depth.shape
     n = means.shape[0]
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -245,7 +266,7 @@ def _compare(means, T, depth, camera, noise_a, noise_b, verdicts):
                 continue
             x = (T[0, 0] * dx + T[1, 0] * dy + T[2, 0] * dz) / z
             y = (T[0, 1] * dx + T[1, 1] * dy + T[2, 1] * dz) / z
-            if abs(x) * fx > 2 * width or abs(y) * fy > 2 * height:  # where the lens model holds
+            if abs(x) * fx > 2 * width or abs(y) * fy > 2 * height:  # outside the lens model
                 continue
             radial, shift_x, shift_y = distortion_at(camera, x, y)
             u = math.floor(fx * (x * radial + shift_x) + cx + 0.5)

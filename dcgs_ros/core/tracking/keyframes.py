@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When a frame becomes a keyframe, and which Gaussians it spawns."""
+"""Which frames become keyframes, and which Gaussians they spawn."""
 
 from __future__ import annotations
 
@@ -9,52 +9,53 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..camera import PinholeCamera
-from ..config.stages import KeyframeConfig
+from ..config.stages import Config, KeyframeConfig
 from ..sensor import SensorNoise
 from .cloud import FrameCloud
+from .estimator import RegisteredFrame, sample
 from .gaussian_map import GaussianMap
 
-_CONFIRM_SIGMAS = 3.0 * np.sqrt(2.0)  # two measurements of one surface differ by no more
-_SPAWN_SIGMAS = 3.0  # a Gaussian this near along the ray is the same surface
-_URGENT = 0.6  # of either threshold: asks at once, whatever the budget
+_CONFIRM_SIGMAS = 3.0 * np.sqrt(2.0)  # largest difference of two measurements of a surface
+_SPAWN_SIGMAS = 3.0  # a Gaussian this near along the ray is on the same surface
+_URGENT = 0.6  # of either threshold: below it a keyframe is made at once
 
 
 class KeyframePolicy:
-    """Asks for a keyframe when the view has moved on from the last one."""
+    """Decides when the view has changed enough for a new keyframe."""
 
     def __init__(self, config: KeyframeConfig) -> None:
-        """Wait for the first keyframe."""
+        """Start without a keyframe."""
         self.config = config
         self._T_world_cam = np.eye(4)
         self._stamp_ns = 0
         self._overlap = 0.0
         self._landmarks = 0
 
-    def took(self, T_world_cam: NDArray, stamp_ns: int, landmarks: int) -> None:
+    def took(self, T_world_cam: NDArray[np.float64], stamp_ns: int, landmarks: int) -> None:
         """Remember the last keyframe."""
         self._T_world_cam, self._stamp_ns = T_world_cam, stamp_ns
         self._landmarks, self._overlap = landmarks, 0.0
 
     def wants(
         self,
-        T_world_cam: NDArray,
+        T_world_cam: NDArray[np.float64],  # (4, 4)
         stamp_ns: int,
         turn_rad_s: float,
         overlap: float,
         landmarks: int,
     ) -> bool:
-        """Decide for a frame with this share of points explained and landmarks alive.
+        """Return whether a frame should become a keyframe.
 
-        A frame of a fast turn is blurred, and its depth's place least certain: what it built would
-        stay in the map, so it is made a keyframe only in need.
-
-        The overlap is held against the best one since the last keyframe, not against 1: what a
-        noisy sensor never explains, even just after a keyframe, is not news.
+        `overlap` is the share of its points that the map explains, `landmarks` the number tracked.
+        A frame of a fast turn is blurred and its depth is least certain in place: Gaussians from
+        it would spoil the map, so it becomes a keyframe only if it is urgent. The overlap is
+        compared with the best one since the last keyframe, not with 1: a noisy sensor has points
+        that are never explained, not even just after a keyframe.
         """
         c = self.config
         self._overlap = max(self._overlap, overlap)
         seen = overlap / (c.overlap * max(self._overlap, 1e-9))
-        few = self._landmarks < c.min_landmarks  # the scene has none to offer: no use in asking
+        few = self._landmarks < c.min_landmarks  # no corners there: a keyframe is no help
         kept = 1.0 if few else landmarks / (c.landmarks * self._landmarks)
         if min(seen, kept) < _URGENT:
             return True
@@ -64,6 +65,27 @@ class KeyframePolicy:
         far = np.linalg.norm(moved[:3]) > c.translation_m
         turned = np.linalg.norm(moved[3:]) > c.rotation_rad
         return bool(far or turned or seen < 1.0 or kept < 1.0)
+
+
+def candidates(
+    registered: RegisteredFrame,
+    last: RegisteredFrame | None,
+    camera: PinholeCamera,
+    config: Config,
+) -> FrameCloud:
+    """Sample the points that a keyframe may spawn, in the camera frame at the depth's instant.
+
+    Only those remain that the depth of the `last` frame, if there is one, confirms.
+    """
+    frame, settings = registered.frame, config.keyframes
+    cloud = sample(frame, camera, config, settings.spawn_stride_px)
+    cloud = thinned(cloud, settings.spawn_min_m)
+    if last is None:
+        return cloud
+    T_last_now = se3.inverse(last.T_world_cam @ last.T_cam_cam_at_depth) @ (
+        registered.T_world_cam @ registered.T_cam_cam_at_depth
+    )
+    return confirmed(cloud, T_last_now, last.frame.depth_m, camera, config.sensor)
 
 
 def spawn(
@@ -76,10 +98,10 @@ def spawn(
     config: KeyframeConfig,
     certain_m: float,
 ) -> NDArray[np.int64]:
-    """Spawn the points of a keyframe's cloud that no Gaussian covers; returns the new ids.
+    """Spawn Gaussians at the points of a keyframe's cloud that none covers; return the new ids.
 
     A Gaussian covers a point within `spawn_px` across its ray and the depth's noise along it.
-    Points with sigma_z above `certain_m` spawn nothing.
+    Points with sigma_z above `certain_m` are left out.
     """
     R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
     z = cloud.points[:, 2]
@@ -97,7 +119,7 @@ def spawn(
 
 
 def thinned(cloud: FrameCloud, voxel_m: float) -> FrameCloud:
-    """Keep the first point of each voxel: near by, pixels lie closer than Gaussians may."""
+    """Return the first point of each voxel: nearby, pixels are closer than Gaussians may be."""
     cells = np.floor(cloud.points / voxel_m).astype(np.int64) & 0x1FFFFF
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     return cloud[np.sort(np.unique(keys, return_index=True)[1])]
@@ -110,7 +132,7 @@ def confirmed(
     camera: PinholeCamera,
     sensor: SensorNoise,
 ) -> FrameCloud:
-    """Keep the points that another depth image measures too, within both images' noise."""
+    """Return the points that another depth image (H, W) also measures, within the noise."""
     there = se3.transform(T_other_cam, cloud.points)
     keep = there[:, 2] > 0.05
     pixels = np.round(camera.project(there[keep])).astype(int)

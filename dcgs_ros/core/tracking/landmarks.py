@@ -19,10 +19,10 @@ from .cloud import measurement_covariances
 from .factors import PointFactors, Targets, observed_from
 from .gaussian_map import GaussianMap
 
-_FLAT_SLOPE = 0.03  # depth spread over 3x3 pixels that is still one surface, share of depth ...
+_FLAT_SLOPE = 0.03  # largest depth range of 3x3 pixels on one surface, share of depth ...
 _FLAT_NOISE = 8.0  # ... plus this many sigma_z
-_SPARE = 3  # corners asked for each one wanted: many have no depth
-_MIN_NEIGHBOURS = 6  # of the 3x3 pixels
+_SPARE = 3  # corners searched for each one wanted: many have no depth
+_MIN_NEIGHBOURS = 6  # with depth, of the 3x3 pixels
 # OpenCV's minimal eigenvalue of a 3x3 block where the weakest gradient is 1 grey level per pixel:
 # its Sobel operator has gain 8 and is divided by 4 * 3 * 255.
 _EIGENVALUE = 9.0 * (8.0 / 3060.0) ** 2
@@ -31,27 +31,27 @@ _KLT_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.03)
 
 @dataclass
 class Landmarks:
-    """Corners alive: where they are in the last image, and in the world."""
+    """Tracked corners: their positions in the last image and in the world."""
 
     pixels: NDArray[np.float32]  # (L, 2) distorted, in the last image
     targets: Targets  # l and the anchor's Sigma_t
 
     @classmethod
     def none(cls) -> Landmarks:
-        """No landmarks."""
+        """Return an empty set."""
         empty = np.empty((0, 3), np.float32)
         return cls(empty[:, :2], Targets(empty, empty, empty[:, 0], empty[:, 0]))
 
     def __len__(self) -> int:
-        """Count the landmarks."""
+        """Return the number of landmarks."""
         return len(self.pixels)
 
-    def __getitem__(self, keep: NDArray) -> Landmarks:
-        """Select a subset."""
+    def __getitem__(self, keep: NDArray[np.bool_]) -> Landmarks:
+        """Return the landmarks of a mask."""
         return Landmarks(self.pixels[keep], self.targets[keep])
 
     def joined(self, other: Landmarks) -> Landmarks:
-        """Both sets."""
+        """Return both sets together."""
         a, b = self.targets, other.targets
         joined = Targets(
             np.concatenate([a.points, b.points]),
@@ -61,23 +61,24 @@ class Landmarks:
         )
         return Landmarks(np.concatenate([self.pixels, other.pixels]), joined)
 
-    def seen_from(self, T_world_cam: NDArray) -> NDArray[np.float64]:
-        """Landmarks (L, 3) in the frame of a camera."""
+    def seen_from(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the landmarks (L, 3) in the frame of a camera, metres."""
         return (self.targets.points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]
 
     def followed(
         self,
-        previous: NDArray[np.uint8],
-        grey: NDArray[np.uint8],
-        T_world_previous: NDArray,
-        T_world_predicted: NDArray,
+        previous: NDArray[np.uint8],  # (H, W)
+        grey: NDArray[np.uint8],  # (H, W)
+        T_world_previous: NDArray[np.float64],  # (4, 4)
+        T_world_predicted: NDArray[np.float64],  # (4, 4)
         camera: PinholeCamera,
         config: LandmarkConfig,
     ) -> Landmarks:
-        """Track the corners into the next image, starting from the flow of the predicted motion.
+        """Return the corners tracked into the next image by KLT.
 
-        The flow is a difference of two projections, so that a landmark's own error does not enter.
-        Corners that do not come back to where they were are lost.
+        It starts from the flow of the predicted motion, a difference of two projections, so that a
+        landmark's own error does not enter. Corners that are not tracked back to where they were
+        are left out.
         """
         if not len(self):
             return self
@@ -94,9 +95,9 @@ class Landmarks:
 
     def measured(
         self,
-        depth_m: NDArray[np.float32],
-        T_world_predicted: NDArray,
-        T_cam_cam_at_depth: NDArray,
+        depth_m: NDArray[np.float32],  # (H, W)
+        T_world_predicted: NDArray[np.float64],  # (4, 4)
+        T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
         camera: PinholeCamera,
         sensor: SensorNoise,
         config: LandmarkConfig,
@@ -104,7 +105,7 @@ class Landmarks:
     ) -> tuple[Landmarks, PointFactors]:
         """Back-project the corners at the measured depth: a_l with S_l = S(v_l, z_l; sigma_m).
 
-        Returns the landmarks with depth and their pairs.
+        Return the landmarks that have depth, and their factors.
         """
         expected = self.seen_from(T_world_predicted)[:, 2]
         points = _back_projected(
@@ -121,20 +122,21 @@ class Landmarks:
 
 
 def detect(
-    grey: NDArray[np.uint8],
-    depth_m: NDArray[np.float32],
+    grey: NDArray[np.uint8],  # (H, W)
+    depth_m: NDArray[np.float32],  # (H, W)
     alive: Landmarks,
-    T_world_cam: NDArray,
-    T_cam_cam_at_depth: NDArray,
+    T_world_cam: NDArray[np.float64],  # (4, 4)
+    T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
     gaussians: GaussianMap,
     camera: PinholeCamera,
     sensor: SensorNoise,
     config: LandmarkConfig,
     anchor_px: float,
 ) -> Landmarks:
-    """Find new corners and place them on the tangent planes of their nearest Gaussians.
+    """Return new corners, placed on the tangent planes of their nearest Gaussians.
 
-    l = x + n_j n_j^T (mu_j - x), with the anchor's covariance Sigma_t,j.
+    l = x + n_j n_j^T (mu_j - x), with the anchor's covariance Sigma_t,j. There are at most
+    `config.corners` together with those `alive`, which they keep their distance from.
     """
     wanted = config.corners - len(alive)
     pixels = _corners(grey, alive.pixels, _SPARE * wanted, config)
@@ -144,7 +146,7 @@ def detect(
     pixels, points = pixels[keep], points[keep]
     world = se3.transform(T_world_cam, points).astype(np.float32)
     slots = gaussians.index.nearest(gaussians.means, world, config.anchor_radius_m)
-    best = np.flatnonzero(slots >= 0)[: max(wanted, 0)]  # the strongest come first
+    best = np.flatnonzero(slots >= 0)[: max(wanted, 0)]  # the strongest are first
     pixels, world, slots = pixels[best], world[best], slots[best]
     normals = gaussians.normals[slots]
     height = np.sum((gaussians.means[slots] - world) * normals, axis=1, keepdims=True)
@@ -156,10 +158,10 @@ def detect(
 
 
 def _klt(
-    previous: NDArray,
-    grey: NDArray,
-    pixels: NDArray,
-    guess: NDArray,
+    previous: NDArray[np.uint8],
+    grey: NDArray[np.uint8],
+    pixels: NDArray[np.float32],  # (L, 2)
+    guess: NDArray[np.float32],  # (L, 2)
     levels: int,
     config: LandmarkConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -177,9 +179,9 @@ def _klt(
 
 
 def _corners(
-    grey: NDArray, taken: NDArray, wanted: int, config: LandmarkConfig
+    grey: NDArray[np.uint8], taken: NDArray[np.float32], wanted: int, config: LandmarkConfig
 ) -> NDArray[np.float32]:
-    """Shi-Tomasi corners (N, 2) away from those taken, found at half resolution."""
+    """Return Shi-Tomasi corners (N, 2) away from those `taken`, found at half resolution."""
     if wanted <= 0:
         return np.empty((0, 2), np.float32)
     half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -200,17 +202,17 @@ def _corners(
 
 
 def _back_projected(
-    pixels: NDArray[np.float32],
-    expected_m: NDArray[np.float32],
-    depth_m: NDArray[np.float32],
-    T_cam_cam_at_depth: NDArray,
+    pixels: NDArray[np.float32],  # (L, 2)
+    expected_m: NDArray[np.float32],  # (L,) expected depth
+    depth_m: NDArray[np.float32],  # (H, W)
+    T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
     camera: PinholeCamera,
     sensor: SensorNoise,
 ) -> NDArray[np.float32]:
-    """Corners (L, 2) of the colour image to points (L, 3) at its instant; z = 0 without depth.
+    """Return points (L, 3) of corners, at the instant of the colour image; z = 0 without depth.
 
     The depth image was taken at another instant: a corner's depth is looked up where the camera's
-    motion had its point then, and the motion along the axis is added.
+    motion puts its point at that instant, and the motion along the axis is added.
     """
     rays = np.column_stack([camera.undistort(pixels), np.ones(len(pixels), np.float32)])
     there = rays * expected_m[:, None]
@@ -227,7 +229,10 @@ def _back_projected(
 
 @kernel
 def _depth_at(depth, pixels, noise_a, noise_b):
-    """Mean of the valid 3x3 depths about each pixel; 0 where it straddles an edge."""
+    """Return (L,) float32, metres: the mean of the valid 3x3 depths at each pixel; 0 at an edge.
+
+    `depth` (H, W) metres, `pixels` (L, 2) as x, y; `noise_a` in metres, `noise_b` in 1/metre.
+    """
     height, width = depth.shape
     out = np.zeros(pixels.shape[0], np.float32)
     for i in range(pixels.shape[0]):

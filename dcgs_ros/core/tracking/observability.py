@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the registration's Hessian says about the pose: its covariance and its weak directions."""
+"""The covariance of the pose and its weakly constrained directions, from the Hessian."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_PRIOR = np.eye(6)  # 1 m, 1 rad: bounds what nothing constrains
+_PRIOR = np.eye(6)  # 1 m, 1 rad: bounds the covariance of unconstrained directions
 
 
 @dataclass(frozen=True)
 class Observability:
-    """Spectrum of the 6x6 Hessian in the camera frame (translation first; metres and radians mix).
+    """Spectrum of the 6x6 Hessian in the camera frame (translation first, metres and radians).
 
-    `kappa` are condition numbers: of H whole; of H without the tangential information that stems
-    from the finite association radius r alone; of H's rotation and translation blocks.
+    `kappa` are condition numbers: of the whole H; of H without the tangential information that
+    comes from the finite association radius r; of the rotation and translation blocks of H.
     """
 
     eigenvalues: NDArray[np.floating]  # (6,) of H, ascending
-    weakest: NDArray[np.floating]  # (6,) unit direction of the smallest eigenvalue without radius
+    weakest: NDArray[np.floating]  # (6,) unit eigenvector of the smallest one without radius
     kappa: float
     kappa_without_radius: float
     kappa_rotation: float
@@ -32,7 +32,7 @@ class Observability:
 def observability(
     H: NDArray[np.floating], H_without_radius: NDArray[np.floating]
 ) -> Observability:
-    """Analyse the Hessian with, and without, the association radius' information."""
+    """Return the spectrum of the Hessian (6, 6), with and without the radius' information."""
     eigenvalues = np.linalg.eigvalsh(H)
     sharp, directions = np.linalg.eigh(H_without_radius)
     blocks = (H_without_radius[:3, :3], H_without_radius[3:, 3:])
@@ -48,9 +48,9 @@ def observability(
 
 
 def pose_covariance(H: NDArray[np.floating], variance: float = 1.0) -> NDArray[np.floating]:
-    """Covariance (6, 6) of xi in T_world_cam exp(xi): square metres and radians.
+    """Return the covariance (6, 6) of xi in T_world_cam exp(xi): square metres and radians.
 
-    `variance` scales it where the cost is not metric (the normalised covariances).
+    `variance` scales it if the cost is not metric (the ablations with normalised covariances).
     """
     return np.linalg.inv(H / variance + _PRIOR)
 

@@ -18,14 +18,14 @@ from .factors import Factor, NormalEquations, PointFactors, PosePrior, Targets
 from .gaussian_map import GaussianMap
 
 _DAMPING_START, _DAMPING_MIN = 1e-5, 1e-7
-_SETTLED = 1e-4  # relative gain of a step below which the next is not worth its time
+_SETTLED = 1e-4  # relative decrease of the cost below which no further step is taken
 _STEPS_AN_ASSOCIATION = 2
 _START_STEPS = 5
-_FLATTEST = 1e-3  # lambda3 / lambda2 of Z(Sigma) at least: exact planes have no inverse
+_FLATTEST = 1e-3  # smallest lambda3 / lambda2 of Z(Sigma): an exact plane has no inverse
 
 
 class DepthTerm:
-    """Pairs each point of a cloud with the nearest Gaussian whose normal agrees."""
+    """Matches each point of a cloud with the nearest Gaussian, if their normals agree."""
 
     def __init__(
         self,
@@ -33,9 +33,9 @@ class DepthTerm:
         gaussians: GaussianMap,
         focal_px: float,
         config: Config,
-        Q: NDArray[np.float64] | None = None,
+        Q: NDArray[np.float64] | None = None,  # (6, 6) as in `PointFactors`
     ) -> None:
-        """Compute the D_i; they do not depend on the pose."""
+        """Compute the D_i, which do not depend on the pose."""
         self.cloud = cloud
         self._gaussians = gaussians
         self._config = config
@@ -53,10 +53,10 @@ class DepthTerm:
             )  # fmt: skip
 
     def associate(self, T_world_cam: NDArray[np.float64], search_m: float) -> PointFactors:
-        """Pairs at a pose, no farther apart than `search_m`; the r in D_i stays what it is.
+        """Return the matches at a pose, at most `search_m` apart; the r in D_i is not changed.
 
-        `shared` instead takes the paper's Z(Sigma) = Sigma / lambda2 on both sides, of the scatter
-        here and of Sigma_r there, with lambda1 taken equal to lambda2.
+        The ablation `shared` uses the paper's Z(Sigma) = Sigma / lambda2 on both sides, of the
+        scatter for the point and of Sigma_r for the Gaussian, with lambda1 taken equal to lambda2.
         """
         cloud, gaussians, registration = self.cloud, self._gaussians, self._config.registration
         gaussians.index.nearest_moved(
@@ -79,28 +79,29 @@ class DepthTerm:
 
 @dataclass(frozen=True)
 class Registration:
-    """Where the minimisation ended."""
+    """The result of the minimisation."""
 
-    T_world_cam: NDArray[np.float64]
-    depth: PointFactors  # as associated last
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+    depth: PointFactors  # of the last association
     image: PointFactors | None
     equations: NormalEquations  # both terms, at T_world_cam
     sharp_depth: NormalEquations  # the depth term along the normals only
     sharp: NormalEquations  # both terms, with that
-    inliers: int  # depth pairs
+    inliers: int  # points with a match
 
     @property
     def overlap(self) -> float:
-        """Share of the cloud that found its Gaussian."""
+        """Share of the cloud's points that have a match."""
         return self.inliers / max(len(self.depth.points), 1)
 
 
 def descend(
     T_world_cam: NDArray[np.float64], terms: Sequence[Factor], steps: int
 ) -> NDArray[np.float64]:
-    """At most `steps` Levenberg-Marquardt steps T <- T exp(xi) with the pairs as they are.
+    """Return the pose after at most `steps` Levenberg-Marquardt steps with fixed matches.
 
-    Each step is checked when the next begins; the last is left to the next association.
+    A step is T <- T exp(xi). It is checked when the next one starts; the last one is not, since
+    the next association follows.
     """
     T, current = T_world_cam, _summed(terms, T_world_cam)
     damping = _DAMPING_START
@@ -118,9 +119,9 @@ def descend(
 
 
 def start_from_landmarks(prior: PosePrior, image: PointFactors) -> NDArray[np.float64]:
-    """Pose from the landmarks and the predicted motion: the largest lever in fast motion.
+    """Return a pose from the landmarks and the predicted motion, which matters in fast motion.
 
-    The prior keeps few or clustered landmarks from throwing the pose about.
+    The prior limits the error from landmarks that are few or close together.
     """
     return descend(prior.T_world_cam, [prior, image], _START_STEPS)
 
@@ -132,11 +133,11 @@ def register(
     config: Config,
     search_m: float,
 ) -> Registration:
-    """Minimise the paper's E(T): associate, descend, until the pose stands still.
+    """Minimise the paper's E(T): associate and descend until the pose has converged.
 
-    `search_m` is how far the first association looks; each next one looks half as far, down to r.
-    Convergence is judged over a whole association, since the steps with fixed pairs are small well
-    before the pairs have stopped to change.
+    `search_m` is the radius of the first association; it halves with each next one, down to r.
+    Convergence is judged over a whole association, since the steps with fixed matches get small
+    well before the matches stop changing.
     """
     settings = config.registration
     images = [] if image is None else [image]
@@ -170,7 +171,7 @@ def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:
 
 
 def _plane_covariances(cloud: FrameCloud) -> NDArray[np.float32]:
-    """Z(Q_i) = I - (1 - lambda3 / lambda2) n n^T, (N, 6)."""
+    """Return Z(Q_i) = I - (1 - lambda3 / lambda2) n n^T, (N, 6) xx xy xz yy yz zz."""
     n = cloud.normals
     k = 1.0 - np.maximum(cloud.flatness, _FLATTEST)
     return np.column_stack(
@@ -186,6 +187,13 @@ def _gather(
     slots, normals, T, min_cosine, means, map_normals, viewpoints, flatness, anchor, noise_a,
     noise_b, shared, points, axes, perp, along,
 ):  # fmt: skip
+    """Write the targets of N points: the Gaussians in `slots` whose normals agree.
+
+    `slots` (N,) int32 or -1, `normals` (N, 3) unit, camera; `T` (4, 4) T_world_cam; of the map
+    `means`, `map_normals`, `viewpoints` (M, 3) metres, world, and `flatness` (M,); `anchor` p / f,
+    `noise_a` in metres, `noise_b` in 1/metre. Writes `points` and `axes` (N, 3), `perp` and
+    `along` (N,) as in `Targets`; `perp` is -1 without a match.
+    """
     for i in range(slots.shape[0]):
         perp[i] = -1.0
         j = slots[i]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from ..frame import RgbdFrame
 from ..keyframe import PosedFrame
-from .tracker import TrackingState, TrackResult
+from .result import TrackingState, TrackResult
 
 
 class KeyframeSelector:

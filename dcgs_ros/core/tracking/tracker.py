@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,41 +19,16 @@ from ..kernels import jit
 from ..keyframe import Keyframe, MapUpdate
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey, uses_landmarks
 from .gaussian_map import GaussianMap
-from .keyframes import KeyframePolicy, confirmed, spawn, thinned
+from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
 from .observability import Observability, observability, pose_covariance
 from .registration import DepthTerm, Registration
 from .relocalization import Relocalizer
+from .result import TrackingState, TrackResult
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
-
-
-class TrackingState(Enum):
-    """What a pose is worth."""
-
-    OK = 'ok'
-    DEGENERATE = 'degenerate'  # tracked, but one direction is badly constrained
-    LOST = 'lost'  # the pose is the last good one
-
-
-@dataclass(frozen=True)
-class TrackResult:
-    """One tracked frame."""
-
-    stamp_ns: int  # of the colour image
-    T_world_cam: NDArray[np.float64]  # (4, 4)
-    T_cam_cam_at_depth: NDArray[np.float64]  # (4, 4) camera at the depth's instant to colour's
-    covariance: NDArray[np.floating]  # (6, 6) of xi in T_world_cam exp(xi), translation first
-    state: TrackingState
-    observability: Observability | None  # None: first frame, or lost
-    points: int
-    inliers: int  # depth pairs
-    landmarks: int
-    keyframe: bool  # whether this frame is one
-    keyframes: tuple[Keyframe, ...]  # finished with this frame: the first one with the second
-    colour_depth_offset_ms: float
 
 
 class Tracker:
@@ -289,14 +263,7 @@ class Tracker:
         config, frame, T = self.config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor)
-        cloud = sample(frame, self.camera, config, config.keyframes.spawn_stride_px)
-        cloud = thinned(cloud, config.keyframes.spawn_min_m)
-        if last is not None:
-            T_last_now = se3.inverse(last.T_world_cam @ last.T_cam_cam_at_depth) @ (
-                T @ registered.T_cam_cam_at_depth
-            )
-            depth_m = last.frame.depth_m
-            cloud = confirmed(cloud, T_last_now, depth_m, self.camera, config.sensor)
+        cloud = candidates(registered, last, self.camera, config)
         ids = spawn(
             cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, self.keyframes,
             self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,

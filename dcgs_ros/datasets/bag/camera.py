@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The RGB-D camera of a recording: intrinsics, depth's unit and noise, how it is registered."""
+"""The RGB-D camera of a recording: intrinsics, unit and noise of depth, its registration."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.sensor import SensorNoise
 from ...io.ros_images import MessageError, read_camera
-from ..cameras import PRESETS, parse_intrinsics
+from ..camera_presets import PRESETS
 from ..images.depth_registration import register_depth
+from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
 from .extrinsics import find_T_colorcam_depthcam, first_messages
 from .images import color_of, depth_of, image_size, is_compressed
-from .messages import custom_data
+from .recording import custom_data
 from .topics import CameraTopics, camera_topics, viewer_stream
 
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 _BASELINE_M = 0.05  # D435i
 _MM_PER_M = 1000.0
-_SAME_PX = 0.5  # cameras nearer to each other than this see the same
+_SAME_PX = 0.5  # intrinsics that differ by less count as the same camera
 
 
 @dataclass(frozen=True)
@@ -42,17 +43,17 @@ class DepthMount:
 
 @dataclass(frozen=True)
 class RecordedCamera:
-    """What makes frames of a recording's images."""
+    """How to make frames of a recording's images."""
 
     topics: CameraTopics
     camera: PinholeCamera
     sensor: SensorNoise
-    depth_per_metre: float  # value of 16 bits at one metre
-    mount: DepthMount | None  # None: depth is recorded as colour's camera would see it
-    as_published: bool  # raw, registered and in ROS's units: what others expect on the topics
+    depth_per_metre: float  # value of a 16-bit depth pixel at one metre
+    mount: DepthMount | None  # None: depth is recorded registered to colour
+    as_published: bool  # raw, registered, in ROS's units: messages can be replayed unchanged
 
     def images(self, color: Any, depth: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Colour and registered depth in metres of two messages.
+        """Return colour and registered depth in metres of two messages.
 
         Raises `FrameError` or `MessageError`.
         """
@@ -71,10 +72,9 @@ def find_camera(
     color_topic: str | None = None,
     depth_topic: str | None = None,
 ) -> RecordedCamera:
-    """Find the camera's topics and read what was recorded of it.
+    """Find the camera's topics and read its parameters.
 
-    `text` is a preset's name or intrinsics, used instead of colour's CameraInfo. Raises
-    `SourceError`.
+    `text` is a preset or intrinsics instead of colour's CameraInfo. Raises `SourceError`.
     """
     topics = camera_topics(path, color_topic, depth_topic)
     try:
@@ -110,12 +110,12 @@ def _color_camera(text: str | None, topics: CameraTopics, first: dict[str, Any])
 def _find_mount(
     path: Path | str, topics: CameraTopics, first: dict[str, Any]
 ) -> DepthMount | None:
-    """Read where the depth camera is, unless depth is registered to colour."""
+    """Read the depth camera's extrinsics; None if depth is registered to colour."""
     color_info = first.get(topics.camera_info or '')
     depth_info = first.get(topics.depth_info or '')
     frames = first[topics.color].header.frame_id, first[topics.depth].header.frame_id
     T_colorcam_depthcam: NDArray[np.float64] | None = np.eye(4)
-    # The Viewer's frames of images are numbers, and it records what the sensors sent.
+    # RealSense Viewer records unregistered images, and its frame ids are numbers.
     if viewer_stream(topics.depth) is not None or (all(frames) and frames[0] != frames[1]):
         T_colorcam_depthcam = find_T_colorcam_depthcam(path, topics, frames)
     elif color_info is None or depth_info is None or _same(color_info, depth_info):
@@ -131,13 +131,13 @@ def _find_mount(
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Tell whether two CameraInfo have the same pixels."""
+    """Return whether two CameraInfo describe the same pixels."""
     sizes = (one.width, one.height) == (other.width, other.height)
     return sizes and np.allclose(one.k, other.k, rtol=0.0, atol=_SAME_PX)
 
 
 def _depth_per_metre(path: Path | str, topics: CameraTopics) -> float:
-    """Millimetres, unless RealSense Viewer recorded another unit."""
+    """Return the unit of 16-bit depth: millimetres, unless RealSense Viewer recorded another."""
     if (stream := viewer_stream(topics.depth)) is None:
         return _MM_PER_M
     name = f'{stream.rsplit("/", 1)[0]}/option/Depth_Units/value'
@@ -145,13 +145,13 @@ def _depth_per_metre(path: Path | str, topics: CameraTopics) -> float:
         return _MM_PER_M
     if not 0 < message.data < math.inf:
         raise MessageError(f'{name} is {message.data} metres')
-    return 1.0 / float(str(np.float32(message.data)))  # 0.001, not what 32 bits make of it
+    return 1.0 / float(str(np.float32(message.data)))  # 0.001, not its 32-bit neighbour
 
 
 def _find_sensor(
     path: Path | str, text: str | None, camera: PinholeCamera, mount: DepthMount | None
 ) -> SensorNoise:
-    """Take the recorded noise, the preset's, or a D435i's of that focal length or mode."""
+    """Return the recorded noise, the preset's, or a D435i's of that focal length or mode."""
     recorded = custom_data(path).get(SENSOR_KEY)
     if recorded is not None:
         return _parse_sensor(recorded)
@@ -170,7 +170,7 @@ def _parse_sensor(text: str) -> SensorNoise:
             raise ValueError(f'not an object of {", ".join(sorted(names))}')
         numbers = {name: float(value) for name, value in values.items()}
         if not all(map(math.isfinite, numbers.values())):
-            raise ValueError('not all of it is finite')
+            raise ValueError('not all values are finite')
         return SensorNoise(**numbers)
     except (ValueError, TypeError, RecursionError, OverflowError, DcgsError) as error:
         raise SourceError(f'{SENSOR_KEY} {text[:200]!r}: {error}') from error

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a recording's depth camera is, seen from its colour camera."""
+"""Extrinsics between the depth camera and the colour camera of a recording."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from ...core import se3
 from ...io.ros_images import MessageError
 from ...io.trajectory import QUATERNION_NORM_TOLERANCE
-from .messages import DamagedError, decode, raw_messages
-from .topics import CameraTopics, stream_of, viewer_stream
+from .messages import decode
+from .recording import raw_messages
+from .recovery.losses import DamagedError
+from .topics import STATIC_TOPIC, CameraTopics, stream_of, viewer_stream
 
-_TF_STATIC = '/tf_static'
-_FARTHEST_M = 1e9  # from the origin; beyond, no number here is a distance
-_ROTATION_TOLERANCE = 1e-3  # of R^T R against the identity; devices tell it in 32 bits
+_FARTHEST_M = 1e9  # from the origin; a larger number is corrupt
+_ROTATION_TOLERANCE = 1e-3  # of R^T R against the identity; devices use 32-bit floats
 
 Transforms = dict[str, tuple[str, NDArray[np.float64]]]  # child frame: parent, T_parent_child
 
@@ -29,11 +30,11 @@ Transforms = dict[str, tuple[str, NDArray[np.float64]]]  # child frame: parent, 
 def find_T_colorcam_depthcam(
     path: Path | str, topics: CameraTopics, frames: tuple[str, str]
 ) -> NDArray[np.float64] | None:
-    """Transform (4, 4) from the depth camera's frame to colour's, metres; None: not recorded.
+    """Return the transform (4, 4) from the depth camera's frame to colour's, metres, or None.
 
-    `frames` are those of colour and depth in /tf_static, which is asked where realsense2_camera's
-    extrinsics are not there. RealSense Viewer has a transform beside each stream instead. Raises
-    `MessageError` for numbers that are no transform.
+    It is found in realsense2_camera's extrinsics, else between `frames` (colour's and depth's) in
+    /tf_static; RealSense Viewer records a transform beside each stream instead. None if nothing is
+    recorded. Raises `MessageError` for numbers that are no rigid transform.
     """
     viewer = viewer_stream(topics.color), viewer_stream(topics.depth)
     if viewer[0] is not None or viewer[1] is not None:
@@ -43,20 +44,20 @@ def find_T_colorcam_depthcam(
             return None
         # Each maps points of the reference stream to those of its own.
         T_color_ref, T_depth_ref = (
-            transform(found[name].translation, found[name].rotation) for name in names
+            read_transform(found[name].translation, found[name].rotation) for name in names
         )
         return T_color_ref @ se3.inverse(T_depth_ref)
     name = f'{stream_of(topics.depth).rsplit("/", 2)[0]}/extrinsics/depth_to_color'
     if message := first_messages(path, [name]).get(name):
-        return _of_columns(message.rotation, message.translation)
-    return between(_static_transforms(path), *(frame.lstrip('/') for frame in frames))
+        return _from_columns(message.rotation, message.translation)
+    return transform_between(_static_transforms(path), *(frame.lstrip('/') for frame in frames))
 
 
 def first_messages(path: Path | str, topics: Iterable[str]) -> dict[str, Any]:
-    """First readable message of each of the topics that have one."""
+    """Return the first readable message of each of the topics that have one."""
     wanted = set(topics)
     found: dict[str, Any] = {}
-    with suppress(DamagedError):  # told by who reads the frames
+    with suppress(DamagedError):  # reported with the frames
         for message in raw_messages(path, wanted):
             if message.topic not in found:
                 with suppress(MessageError):
@@ -66,10 +67,10 @@ def first_messages(path: Path | str, topics: Iterable[str]) -> dict[str, Any]:
     return found
 
 
-def transform(translation: Any, rotation: Any) -> NDArray[np.float64]:
-    """Transform (4, 4) of a message's vector and quaternion, which is normalised.
+def read_transform(translation: Any, rotation: Any) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of a message's vector and quaternion, which is normalised.
 
-    Raises `MessageError` where a number is not finite or huge, or the quaternion off unit length.
+    Raises `MessageError` if a number is not finite or huge, or the quaternion not of unit length.
     """
     position = translation.x, translation.y, translation.z
     quat_wxyz = rotation.w, rotation.x, rotation.y, rotation.z
@@ -79,21 +80,23 @@ def transform(translation: Any, rotation: Any) -> NDArray[np.float64]:
     return se3.from_quaternion(np.array(quat_wxyz) / norm, np.array(position))
 
 
-def between(transforms: Transforms, target: str, source: str) -> NDArray[np.float64] | None:
-    """T_target_source (4, 4) through a tree of frames; None where they are in none together."""
+def transform_between(
+    transforms: Transforms, target: str, source: str
+) -> NDArray[np.float64] | None:
+    """Return T_target_source (4, 4) through a tree of frames; None if they are not connected."""
     target_root, T_target = _from_root(transforms, target)
     source_root, T_source = _from_root(transforms, source)
     return se3.inverse(T_target) @ T_source if target_root == source_root else None
 
 
 def _from_root(transforms: Transforms, frame: str) -> tuple[str, NDArray[np.float64]]:
-    """Root above a frame, and T_root_frame."""
+    """Return the root above a frame, and T_root_frame."""
     T, seen = np.eye(4), {frame}
     while frame in transforms:
         frame, T_parent = transforms[frame]
         T = T_parent @ T
         if frame in seen:
-            raise MessageError(f'{_TF_STATIC}: frame {frame!r} is above itself')
+            raise MessageError(f'{STATIC_TOPIC}: frame {frame!r} is above itself')
         seen.add(frame)
     return frame, T
 
@@ -101,15 +104,17 @@ def _from_root(transforms: Transforms, frame: str) -> tuple[str, NDArray[np.floa
 def _static_transforms(path: Path | str) -> Transforms:
     found: Transforms = {}
     with suppress(DamagedError):
-        for message in raw_messages(path, [_TF_STATIC]):
+        for message in raw_messages(path, [STATIC_TOPIC]):
             for stamped in decode(message.cdr, message.type).transforms:
-                T = transform(stamped.transform.translation, stamped.transform.rotation)
+                T = read_transform(stamped.transform.translation, stamped.transform.rotation)
                 found[stamped.child_frame_id.lstrip('/')] = stamped.header.frame_id.lstrip('/'), T
     return found
 
 
-def _of_columns(rotation: NDArray, translation: NDArray) -> NDArray[np.float64]:
-    """Transform (4, 4) of librealsense's extrinsics, whose rotation is written by columns."""
+def _from_columns(
+    rotation: NDArray[np.float64], translation: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of librealsense's extrinsics: rotation (9,) by columns."""
     T = np.eye(4)
     T[:3, :3] = np.reshape(rotation, (3, 3)).T
     T[:3, 3] = translation

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recorded images, raw (Image) or compressed (CompressedImage), as colour and depth."""
+"""Colour and depth of recorded images, raw (Image) or compressed (CompressedImage)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
 from ...io.ros_images import measured, read_color, read_depth
-from ..images.files import decode_color, decode_depth, encoded_size
+from ..images.decoding import decode_color, decode_depth, encoded_size
 
 _PNG = b'\x89PNG\r\n\x1a\n'
 _DEPTH_HEADER = struct.Struct('<Iff')  # compressed_depth_image_transport's: format, A, B
 
 
 def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
-    """Colour (H, W, 3) RGB or (H, W) of an Image or CompressedImage of the camera's size.
+    """Decode an Image or CompressedImage to colour (H, W, 3) RGB or (H, W).
 
-    Raises `FrameError` or `MessageError`; nothing of another size is decoded.
+    Raises `FrameError` or `MessageError`; an image not of the camera's size is not decoded.
     """
     _check_size('colour', message, camera)
     if is_compressed(message):
@@ -31,12 +31,12 @@ def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
 
 
 def depth_of(message: Any, camera: PinholeCamera, per_metre: float) -> NDArray[np.float32]:
-    """Depth (H, W) in metres, 0 = none, of an Image or CompressedImage of the camera's size.
+    """Decode an Image or CompressedImage to depth (H, W) in metres, 0 = none.
 
-    `per_metre` is the value of 16 bits at one metre. Compressed depth is a PNG of 16 bits, as it
-    is or behind compressed_depth_image_transport's header, where 32FC1 is inverse depth: its
-    quantity q > 0 means A / (q - B) metres. Raises `FrameError` or `MessageError`; nothing of
-    another size is decoded.
+    `per_metre` is the value of 16 bits at one metre. Compressed depth is a 16-bit PNG, with or
+    without compressed_depth_image_transport's header; with one, 32FC1 is stored as inverse depth:
+    a value q > 0 means A / (q - B) metres. Raises `FrameError` or `MessageError`; an image not of
+    the camera's size is not decoded.
     """
     _check_size('depth', message, camera)
     if not is_compressed(message):
@@ -46,21 +46,21 @@ def depth_of(message: Any, camera: PinholeCamera, per_metre: float) -> NDArray[n
     if not (header and message.format.startswith('32FC1')):
         return raw.astype(np.float32) / np.float32(per_metre)
     _, a, b = _DEPTH_HEADER.unpack(header)
-    with np.errstate(all='ignore'):  # damaged parameters
+    with np.errstate(all='ignore'):  # A and B may be damaged
         depth_m = np.float32(a) / (raw.astype(np.float32) - np.float32(b))
     depth_m[raw == 0] = 0.0
     return measured(depth_m)
 
 
 def image_size(message: Any) -> tuple[int, int]:
-    """Width and height that an Image or CompressedImage tells; raises `FrameError`."""
+    """Return the width and height in the header of an image; raises `FrameError`."""
     if not is_compressed(message):
         return int(message.width), int(message.height)
     return encoded_size(_split(bytes(message.data))[1], _name('image', message))
 
 
 def is_compressed(message: Any) -> bool:
-    """Tell a CompressedImage from an Image."""
+    """Return whether the message is a CompressedImage rather than an Image."""
     return hasattr(message, 'format')
 
 
@@ -69,7 +69,7 @@ def _name(what: str, message: Any) -> str:
 
 
 def _split(data: bytes) -> tuple[bytes, bytes]:
-    """Header of compressed depth, empty where there is none, and the image behind it."""
+    """Split compressed depth into its header, empty if there is none, and the image."""
     size = _DEPTH_HEADER.size
     return (data[:size], data[size:]) if data[size:].startswith(_PNG) else (b'', data)
 

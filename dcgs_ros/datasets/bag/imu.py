@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a recording's inertial units measured."""
+"""The IMU measurements of a recording."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from typing import Any
 
 from ...io.ros_images import MessageError, stamp_ns
 from ..source import ImuSample
-from .messages import DamagedError, decode, raw_messages, topic_types
-
-IMU = 'sensor_msgs/msg/Imu'
+from .messages import IMU, decode
+from .recording import raw_messages, topic_types
+from .recovery.losses import DamagedError
 
 
 def imu_samples(path: Path | str) -> Iterator[ImuSample]:
-    """Read the samples of all topics of Imu, merged by their stamps; unreadable ones are left out.
+    """Read the samples of all Imu topics, merged by their stamps; unreadable ones are left out.
 
-    What a covariance of -1 declares as missing is; so is the other quantity on a topic of
-    accelerations or angular rates alone, which drivers fill with zeros.
+    A quantity is None where its covariance is -1 ('no value'), and on topics of accelerations or
+    angular rates alone, where drivers fill the other quantity with zeros.
     """
     topics = [topic for topic, type_ in topic_types(path).items() if type_ == IMU]
     return merge(*(_samples(path, topic) for topic in topics), key=lambda sample: sample.stamp_ns)
@@ -30,7 +30,7 @@ def imu_samples(path: Path | str) -> Iterator[ImuSample]:
 def _samples(path: Path | str, topic: str) -> Iterator[ImuSample]:
     has_acceleration = 'gyro' not in topic.lower()
     has_rate = 'accel' not in topic.lower()
-    with suppress(DamagedError):  # told by who reads the frames
+    with suppress(DamagedError):  # reported with the frames
         for message in raw_messages(path, [topic]):
             with suppress(MessageError):
                 imu = decode(message.cdr, message.type)

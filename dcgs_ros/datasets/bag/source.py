@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""RGB-D sequences that were recorded by ROS or RealSense Viewer."""
+"""RGB-D sequences recorded by ROS 2, ROS 1 or RealSense Viewer."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ from ...io.ros_images import MessageError
 from ...io.trajectory import format_stamp_ns, read_tum
 from ..source import BadFrame, ImuSample, sequence_name
 from .camera import RecordedCamera, find_camera
+from .contents import read_contents
 from .imu import imu_samples
-from .messages import DamagedError, RawMessage, decode, raw_messages, read_header
-from .survey import survey
+from .messages import RawMessage, decode, read_header
+from .recording import raw_messages
+from .recovery.losses import DamagedError
 
 LAYOUT = 'a recording: a rosbag2 folder with its metadata.yaml, an .mcap, a .db3 or a .bag'
 
-_MAX_WAITING = 100  # images of a topic that are read before they are due: a second's disorder
+_MAX_WAITING = 100  # images of a topic that are held until their pair is due
 
 
 class BagSource:
     """Colour and depth of a recording, paired by the stamps of their headers within 20 ms.
 
-    `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels, used instead of the
-    recorded CameraInfo; `groundtruth` a trajectory file instead of the recorded poses. The topics
-    are found unless they are given. Depth that is not registered to colour is registered with the
-    recorded extrinsics. Opening reads all messages once, for their stamps; none is kept.
+    `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels instead of the recorded
+    CameraInfo; `groundtruth` a trajectory file instead of the recorded poses. The topics are found
+    unless they are given. Depth that is not registered to colour is registered with the recorded
+    extrinsics. Opening reads all messages once, for their stamps, and keeps none.
 
-    Raises a `DcgsError` that names the topics, or the stamps, that do not fit. Of a damaged
-    recording the good part is read; what is lost comes as the last `BadFrame`s.
+    Raises a `DcgsError` that names the topics or stamps that do not match. Of a damaged recording
+    the readable part is read; the losses are the last `BadFrame`s.
     """
 
     camera: PinholeCamera
@@ -57,20 +59,20 @@ class BagSource:
         self.recorded = find_camera(path, camera, color_topic, depth_topic)
         self.camera, self.sensor = self.recorded.camera, self.recorded.sensor
         topics = self.recorded.topics
-        self._survey = survey(path, topics.color, topics.depth)
-        self.groundtruth = self._survey.groundtruth
+        self._contents = read_contents(path, topics.color, topics.depth)
+        self.groundtruth = self._contents.groundtruth
         if groundtruth is not None:
             self.groundtruth = read_tum(groundtruth)
 
     def __len__(self) -> int:
-        """Count the pairs of colour and depth, readable or not, and what is lost."""
-        return len(self._survey.pairs) + len(self._survey.lost)
+        """Return the number of pairs of colour and depth, readable or not, and of losses."""
+        return len(self._contents.pairs) + len(self._contents.lost)
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
-        """Read the frames one by one; an unreadable one comes as a `BadFrame`."""
-        topics, pairs = self.recorded.topics, self._survey.pairs
-        colors = _Images(self._path, topics.color, {color_ns for color_ns, _ in pairs})
-        depths = _Images(self._path, topics.depth, {depth_ns for _, depth_ns in pairs})
+        """Read the frames one by one; an unreadable one is a `BadFrame`."""
+        topics, pairs = self.recorded.topics, self._contents.pairs
+        colors = _ImageReader(self._path, topics.color, {color_ns for color_ns, _ in pairs})
+        depths = _ImageReader(self._path, topics.depth, {depth_ns for _, depth_ns in pairs})
         for number, (color_ns, depth_ns) in enumerate(pairs, start=1):
             color, depth = colors.take(color_ns), depths.take(depth_ns)
             try:
@@ -85,17 +87,17 @@ class BagSource:
                 name = f'frame {number} of {len(pairs)} (colour at {stamp} s)'
                 frame = BadFrame(name, str(error))
             yield frame
-        yield from self._survey.lost
+        yield from self._contents.lost
 
     def imu(self) -> Iterator[ImuSample]:
-        """Read what inertial units measured, in order of the stamps."""
+        """Read the measurements of all IMUs, in order of their stamps."""
         return imu_samples(self._path)
 
 
-class _Images:
-    """One topic's images by their stamps, read on until the one asked for is there.
+class _ImageReader:
+    """Reads the images of one topic by their stamps.
 
-    Each topic has a reader of its own, so that nothing piles up where one is recorded far behind
+    Each topic has its own reader, so that no images are held if one topic is recorded far behind
     the other.
     """
 
@@ -105,14 +107,14 @@ class _Images:
         self._waiting: dict[int, RawMessage] = {}
 
     def take(self, stamp_ns: int) -> RawMessage | None:
-        """Hand an image over, if it comes in time."""
-        with suppress(StopIteration, DamagedError):  # the survey told of what is lost
+        """Read on until the image of this stamp; None if it is missing or comes too late."""
+        with suppress(StopIteration, DamagedError):  # losses are in the contents
             while stamp_ns not in self._waiting and len(self._waiting) < _MAX_WAITING:
-                self._read_on()
+                self._read_next()
         self._wanted_ns.discard(stamp_ns)
         return self._waiting.pop(stamp_ns, None)
 
-    def _read_on(self) -> None:
+    def _read_next(self) -> None:
         message = next(self._messages)
         with suppress(MessageError):
             at_ns = read_header(message.cdr)[0]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which topics of a recording are an RGB-D camera's: by type and name, or as they are given."""
+"""The topics of a recording's RGB-D camera, found by type and name or given by the user."""
 
 from __future__ import annotations
 
@@ -10,17 +10,22 @@ from pathlib import Path
 from urllib.parse import parse_qsl
 
 from ..source import SourceError
-from .messages import CAMERA_INFO, IMAGE, topic_types
+from .messages import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE
+from .recording import topic_types
 
-COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
-
-# What realsense2_camera calls its topics.
+# The names of realsense2_camera.
 COLOR_TOPIC = '/camera/camera/color/image_raw'
 DEPTH_TOPIC = '/camera/camera/aligned_depth_to_color/image_raw'
 
+GROUNDTRUTH_TOPIC = '/groundtruth'  # poses of the colour camera, as PoseStamped
+STATIC_TOPIC = '/tf_static'
+
 _DEPTH_TRANSPORT = '/compressedDepth'
-_TRANSPORTS = (_DEPTH_TRANSPORT, '/compressed')  # what image_transport adds to a stream's name
-_VIEWER_IMAGE = '/image/data'  # how RealSense Viewer's names of images end
+_TRANSPORTS = (
+    _DEPTH_TRANSPORT,
+    '/compressed',
+)  # suffixes of image_transport
+_VIEWER_IMAGE = '/image/data'  # end of RealSense Viewer's names of image topics
 
 
 @dataclass(frozen=True)
@@ -36,11 +41,11 @@ class CameraTopics:
 def camera_topics(
     path: Path | str, color: str | None = None, depth: str | None = None
 ) -> CameraTopics:
-    """Find the camera: realsense2_camera's names, else what type and name leave but one choice.
+    """Find the camera's topics: realsense2_camera's, or the only ones by type and name.
 
-    `color` and `depth` are topics, or streams without their transport's suffix, to be taken
-    instead. Of one stream raw images are preferred to compressed ones. Raises `SourceError` that
-    lists the topics of images where there is no choice, or more than one.
+    `color` and `depth` are topics, or streams without their transport's suffix, to be used
+    instead. Of one stream raw images are preferred to compressed ones. Raises `SourceError` with
+    the topics of images if there is no candidate, or more than one.
     """
     types = topic_types(path)
     images = [topic for topic, type_ in types.items() if type_ in (IMAGE, COMPRESSED_IMAGE)]
@@ -66,9 +71,9 @@ def camera_topics(
 
 
 def split_topics(address: str) -> tuple[Path, str | None, str | None]:
-    """Take `?color=TOPIC&depth=TOPIC`, each or both, off the address of a recording.
+    """Split the address of a recording into its path and the topics for colour and depth.
 
-    Returns its path and the topics; raises `SourceError` for other keys.
+    These follow as `?color=TOPIC&depth=TOPIC`, both or one. Raises `SourceError` for other keys.
     """
     path, mark, query = address.partition('?')
     if not mark or Path(address).exists():
@@ -83,19 +88,19 @@ def split_topics(address: str) -> tuple[Path, str | None, str | None]:
 
 
 def stream_of(topic: str) -> str:
-    """Name of a topic of images without what tells its compression."""
+    """Return the name of an image topic without the suffix of its transport."""
     for suffix in _TRANSPORTS:
         topic = topic.removesuffix(suffix)
     return topic
 
 
 def viewer_stream(topic: str) -> str | None:
-    """/device_0/sensor_0/Depth_0 of RealSense Viewer's image topics; None of any other topic."""
+    """Return a RealSense Viewer image topic's stream, /device_0/sensor_0/Depth_0; else None."""
     return topic.removesuffix(_VIEWER_IMAGE) if topic.endswith(_VIEWER_IMAGE) else None
 
 
 def _streams(types: dict[str, str]) -> dict[str, str]:
-    """Topic that carries each stream of images, as it is rather than compressed."""
+    """Return the topic of each stream of images: the raw one if there is one."""
     raw = [topic for topic, type_ in types.items() if type_ == IMAGE]
     compressed = [topic for topic, type_ in types.items() if type_ == COMPRESSED_IMAGE]
     lossless = [topic for topic in compressed if topic.endswith(_DEPTH_TRANSPORT)]
@@ -115,7 +120,7 @@ def _info_beside(topic: str, types: dict[str, str]) -> str | None:
 
 
 def _only(candidates: Iterable[str], default: str, words: tuple[str, ...]) -> str | None:
-    """Choose the default, the only one with one of the words in its name, or the only one."""
+    """Return the default, the only candidate with one of the words, the only one, or None."""
     names = list(candidates)
     if default in names:
         return default

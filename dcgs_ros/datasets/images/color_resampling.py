@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Colour images on the pixels of a coarser depth image, both seen from one place."""
+"""Resampling colour images onto the pixels of a coarser depth image beside them."""
 
 from __future__ import annotations
 
@@ -15,24 +15,27 @@ from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
 from ..source import SourceError
 from .depth_registration import register_depth
-from .sequence import Images
+from .sequence import ColorDepth
 
-_MAX_MISFIT = 4.0  # of the images' sizes at one scale: beyond, the intrinsics are of another size
+_MAX_MISFIT = 4.0  # ratio of the images' fields of view: more means intrinsics of another size
 
 
 @dataclass(frozen=True)
 class ColorResampling:
-    """A step for `ImageSequence.register`: colour as a camera like the depth camera sees it."""
+    """Resamples colour to the depth camera's pixels; an `ImageSequence.register`."""
 
     depth_camera: PinholeCamera
-    color_size: tuple[int, int]  # width and height as stored
-    scaled_size: tuple[int, int]  # the same at the depth image's scale
-    A_scaled_depth: NDArray[np.float64]  # (2, 3) pixels of depth to those of the scaled colour
+    color_size: tuple[int, int]  # width and height of the stored images
+    scaled_size: tuple[int, int]  # width and height at the depth image's scale
+    A_scaled_depth: NDArray[np.float64]  # (2, 3) maps pixels of depth to those of scaled colour
     visible: tuple[slice, slice]  # rows and columns of the depth image that have colour
     T_colorcam_depthcam: NDArray[np.float64] | None  # (4, 4); None for the identity
 
-    def __call__(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Images:
-        """Colour (h, w, 3) and depth (h, w), which ends where colour does; or `FrameError`."""
+    def __call__(self, color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> ColorDepth:
+        """Return colour (h, w, 3) and depth (h, w), with depth 0 where there is no colour.
+
+        Raises `FrameError` if colour is of another size.
+        """
         if (found := (color.shape[1], color.shape[0])) != self.color_size:
             raise FrameError(
                 f'colour is {found[0]}x{found[1]} pixels, '
@@ -43,7 +46,7 @@ class ColorResampling:
             depth_m = register_depth(depth_m, camera, self.T_colorcam_depthcam, camera)
         colored = np.zeros_like(depth_m)
         colored[self.visible] = depth_m[self.visible]
-        # Averaged to the scale first: an interpolation alone would skip pixels.
+        # Averaged to the scale first, as an interpolation alone would skip pixels.
         scaled = cv2.resize(color, self.scaled_size, interpolation=cv2.INTER_AREA)
         resampled = cv2.warpAffine(
             scaled,
@@ -60,9 +63,10 @@ def color_resampling(
     depth_camera: PinholeCamera,
     T_colorcam_depthcam: NDArray[np.float64],
 ) -> ColorResampling:
-    """Resample colour so that the pixel u of depth shows K_color K_depth^-1 u.
+    """Return the resampling that shows colour's pixel K_color K_depth^-1 u at depth's pixel u.
 
-    Raises `SourceError` where the two cameras' scales and sizes do not belong together.
+    Depth is first moved by `T_colorcam_depthcam` (4, 4). Raises `SourceError` if the intrinsics do
+    not fit the images' sizes.
     """
     color, depth = color_camera, depth_camera
     across = _axis(color.width, color.fx, color.cx, depth.width, depth.fx, depth.cx)
@@ -86,7 +90,7 @@ def _axis(
     depth_focal: float,
     depth_center: float,
 ) -> tuple[int, float, float, slice]:
-    """Along one axis: the scaled size, factor and shift to it, and depth pixels with colour."""
+    """Return an axis' scaled size, factor and shift to it, and the depth pixels with colour."""
     factor = focal / depth_focal
     shift = center - factor * depth_center
     misfit = size / (factor * depth_size)
@@ -100,5 +104,5 @@ def _axis(
         )
     scaled = max(1, round(size / factor))
     scale = scaled / size
-    # Sizes scale the images' edges, which lie half a pixel outside the first and last centre.
+    # The scale is that of the images' edges, half a pixel outside the outermost pixel centres.
     return scaled, factor * scale, (shift + 0.5) * scale - 0.5, slice(first, last + 1)

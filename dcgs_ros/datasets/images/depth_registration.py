@@ -1,37 +1,37 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Depth as the colour camera would have measured it."""
+"""Registering depth to the colour camera's image."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
+from ...core.kernels.jit import strict_kernel
 from ...core.kernels.lens import distortion_at
 
-_MAX_FOOTPRINT_PX = 16  # a side; what fills more is too close to the colour camera to be real
-# Neighbours on a slanted surface are drawn apart by the change of their disparity, which this
-# closes; below half a pixel, it leaves an image as it is where nothing moves.
+_MAX_FOOTPRINT_PX = 16  # a side; a larger footprint is too close to the colour camera to be real
+# The disparity of neighbours on a slanted surface differs, which tears gaps between them; this
+# closes the gaps. Below half a pixel it does not change an image under the identity.
 _SLACK_PX = 0.25
 
 
 def register_depth(
     depth_m: NDArray[np.float32],
     depth_camera: PinholeCamera,
-    T_colorcam_depthcam: NDArray,
+    T_colorcam_depthcam: NDArray[np.float64],
     color_camera: PinholeCamera,
 ) -> NDArray[np.float32]:
     """Draw depth (h, w) in metres into the colour camera's image (H, W); 0 = no measurement.
 
-    `T_colorcam_depthcam` (4, 4) takes points of the depth camera's frame to the colour camera's.
-    Each pixel covers those whose centres lie within its corners, a quarter of a pixel added; where
-    several do, the nearest wins. The result is depth along the colour camera's axis; measurements
-    that are not positive and finite are none. Raises `FrameError` for an image of another size.
+    `T_colorcam_depthcam` (4, 4) maps points of the depth camera's frame to the colour camera's.
+    Each depth pixel is drawn as the box around its projected corners, a quarter of a pixel larger;
+    the nearest wins. The result is depth along the colour camera's axis; values that are not
+    positive and finite count as no measurement. Raises `FrameError` for an image of another size.
     """
     if depth_m.shape != (depth_camera.height, depth_camera.width):
         raise FrameError(
@@ -53,7 +53,7 @@ def register_depth(
 
 @lru_cache(maxsize=4)
 def _corners(camera: PinholeCamera) -> NDArray[np.float32]:
-    """Rays (h + 1, w + 1, 2) through the corners of the pixels."""
+    """Return the rays (h + 1, w + 1, 2), x/z and y/z, through the corners of the pixels."""
     u, v = np.meshgrid(np.arange(camera.width + 1) - 0.5, np.arange(camera.height + 1) - 0.5)
     rays = camera.undistort(np.stack([u, v], axis=-1).reshape(-1, 2))
     return rays.reshape(camera.height + 1, camera.width + 1, 2)
@@ -61,9 +61,9 @@ def _corners(camera: PinholeCamera) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=4)
 def _field_of_view(camera: PinholeCamera) -> NDArray[np.float64]:
-    """(4,) smallest and largest x/z, smallest and largest y/z that the image shows.
+    """Return the smallest and largest x/z, smallest and largest y/z in the image, (4,).
 
-    Far outside of it the distortion's polynomial may lead back into the image.
+    Far outside of it the distortion's polynomial may map back into the image.
     """
     u, v = np.arange(-1.0, camera.width + 1), np.arange(-1.0, camera.height + 1)
     border = [(x, y) for x in u for y in v[[0, -1]]] + [(x, y) for x in u[[0, -1]] for y in v]
@@ -71,9 +71,14 @@ def _field_of_view(camera: PinholeCamera) -> NDArray[np.float64]:
     return np.array([x.min(), x.max(), y.min(), y.max()], np.float64)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
+@strict_kernel
 def _draw(depth_m, rays, corners, T, camera, seen, out):
-    """Draw each pixel's footprint, the nearest in front."""
+    """Draw each pixel's footprint into `out` (H, W), metres; of overlapping ones the nearest.
+
+    `depth_m` (h, w) in metres; `rays` (h, w, 2) and `corners` (h + 1, w + 1, 2) are x/z and y/z;
+    `T` (4, 4) is T_colorcam_depthcam, `camera` the colour camera's `parameters`, `seen` (4,) its
+    `_field_of_view`. `out` is zeros at first.
+    """
     height, width = out.shape
     for row in range(depth_m.shape[0]):
         for column in range(depth_m.shape[1]):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sequences whose files carry a number instead of a stamp."""
+"""Sequences whose files carry a frame number instead of a stamp."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.trajectory import Trajectory
-from ..poses import rigid_trajectory
+from ..parsing.pose_matrices import rigid_trajectory
 from ..source import SourceError
-from .association import Entry, StampPair
+from .association import StampedPath, StampPair
 
-RATE_HZ = Fraction(30)  # of every camera whose frames are only numbered
-
-
-def stamp_of(number: int, rate_hz: Fraction = RATE_HZ) -> int:
-    """Stamp, nanoseconds, of a frame by its number from 0, rounded once."""
-    return round(Fraction(number * 10**9) / rate_hz)
+RATE_HZ = Fraction(30)  # of the cameras of all datasets without stamps
 
 
-def numbered_pairs(folder: Path, color: str, depth: str) -> list[StampPair]:
-    """Pair the files by the number that the one group of each regex catches.
+def stamp_of_index(index: int, rate_hz: Fraction = RATE_HZ) -> int:
+    """Return the stamp, nanoseconds, of a frame by its index from 0: index / rate, rounded."""
+    return round(Fraction(index * 10**9) / rate_hz)
 
-    Before its last slash a regex is the name of a folder in `folder`. Raises `SourceError` where
-    no number has both images.
+
+def pair_by_index(folder: Path, color: str, depth: str) -> list[StampPair]:
+    """Pair the files that two regexes find by the frame number, the only group of each regex.
+
+    The part of a regex before its last slash is a subfolder's name. Raises `SourceError` if no
+    number has both images.
     """
-    colors, depths = (_numbered(folder, regex) for regex in (color, depth))
+    colors, depths = (_paths_by_index(folder, regex) for regex in (color, depth))
     both = sorted(colors.keys() & depths.keys())
     if not both:
         raise SourceError(
@@ -40,25 +40,27 @@ def numbered_pairs(folder: Path, color: str, depth: str) -> list[StampPair]:
             f'{len(depths)} depth images ({depth})'
         )
     return [
-        StampPair(*(Entry(stamp_of(number), names[number]) for names in (colors, depths)))
-        for number in both
+        StampPair(
+            *(StampedPath(stamp_of_index(index), paths[index]) for paths in (colors, depths))
+        )
+        for index in both
     ]
 
 
-def numbered_poses(path: Path, poses: Mapping[int, NDArray[np.float64]]) -> Trajectory:
-    """Make a trajectory of the `poses` (4, 4) that are rigid, by frame number, increasing.
+def indexed_trajectory(path: Path, poses: Mapping[int, NDArray[np.float64]]) -> Trajectory:
+    """Return the trajectory of those `poses` (4, 4), by increasing frame index, that are rigid.
 
-    Raises `SourceError` with `path` where none is: how a matrix should read was misunderstood.
+    Raises `SourceError` with `path` if none is, as the file then has another convention.
     """
-    stamps_ns = np.array([stamp_of(number) for number in poses], dtype=np.int64)
+    stamps_ns = np.array([stamp_of_index(index) for index in poses], dtype=np.int64)
     truth = rigid_trajectory(stamps_ns, np.array(list(poses.values())).reshape(-1, 4, 4))
     if truth is None:
         raise SourceError(f'{path}: none of {len(poses)} poses is a rotation and a translation')
     return truth
 
 
-def _numbered(folder: Path, regex: str) -> dict[int, str]:
-    """Find the files' paths, relative to the folder, by their numbers."""
+def _paths_by_index(folder: Path, regex: str) -> dict[int, str]:
+    """Find the files' paths, relative to the folder, by their frame numbers."""
     within, name = os.path.split(regex)
     try:
         names = sorted(os.listdir(folder / within))

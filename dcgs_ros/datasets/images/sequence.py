@@ -16,16 +16,17 @@ from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
-from ..cameras import CameraPreset
+from ..camera_presets import CameraPreset
 from ..source import BadFrame, ImuSample, SourceError, sequence_name
 from .association import StampPair
-from .files import read_color_file, read_depth_file
+from .decoding import read_color_file, read_depth_file
 
-Images = tuple[NDArray[np.uint8], NDArray[np.float32]]  # colour RGB, depth in metres
+# Colour (H, W, 3) RGB, depth (H, W) in metres.
+ColorDepth = tuple[NDArray[np.uint8], NDArray[np.float32]]
 
 
-def as_they_are(color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Images:
-    """Take images whose depth is registered to colour."""
+def already_registered(color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> ColorDepth:
+    """Return images whose depth is registered to colour as they are."""
     return color, depth_m
 
 
@@ -33,8 +34,8 @@ def as_they_are(color: NDArray[np.uint8], depth_m: NDArray[np.float32]) -> Image
 class ImageSequence:
     """Pairs of image files, read one by one.
 
-    `register` makes of the two images as stored what one camera would have seen: colour and depth
-    of its size, pixel on pixel; it may raise `FrameError`.
+    `register` turns the two stored images into those of one camera: colour and depth of its size,
+    aligned pixel by pixel. It may raise `FrameError`.
     """
 
     name: str
@@ -44,28 +45,30 @@ class ImageSequence:
     sensor: SensorNoise
     depth_per_metre: float  # raw value of a depth of one metre
     groundtruth: Trajectory | None = None
-    register: Callable[[NDArray[np.uint8], NDArray[np.float32]], Images] = as_they_are
+    register: Callable[[NDArray[np.uint8], NDArray[np.float32]], ColorDepth] = already_registered
 
     @classmethod
-    def of(
+    def from_preset(
         cls,
         folder: Path,
         pairs: Sequence[StampPair],
         preset: CameraPreset,
         groundtruth: Trajectory | None,
-        register: Callable[[NDArray[np.uint8], NDArray[np.float32]], Images] = as_they_are,
+        register: Callable[
+            [NDArray[np.uint8], NDArray[np.float32]], ColorDepth
+        ] = already_registered,
     ) -> ImageSequence:
-        """Call it as its folder is called."""
+        """Make a sequence with the preset's camera, noise and unit, named after its folder."""
         camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
         name = sequence_name(folder)
         return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register)
 
     def __len__(self) -> int:
-        """Count the pairs, readable or not."""
+        """Return the number of pairs, readable or not."""
         return len(self.pairs)
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
-        """Read the frames one by one; an unreadable one comes as a `BadFrame`."""
+        """Read the frames one by one; an unreadable one is a `BadFrame`."""
         for number, pair in enumerate(self.pairs, start=1):
             try:
                 frame: RgbdFrame | BadFrame = self._read(pair)
@@ -75,7 +78,7 @@ class ImageSequence:
             yield frame
 
     def imu(self) -> Iterator[ImuSample]:
-        """Images are all there is."""
+        """Return nothing: image folders have no IMU."""
         return iter(())
 
     def _read(self, pair: StampPair) -> RgbdFrame:
@@ -96,8 +99,8 @@ class ImageSequence:
 
 
 def color_size(folder: Path, pairs: Sequence[StampPair]) -> tuple[int, int]:
-    """Width and height of the first readable colour image; raises `SourceError`."""
-    reason: object = 'there is none'
+    """Return width and height of the first readable colour image; raises `SourceError`."""
+    reason: object = 'there are no images'
     for pair in pairs:
         try:
             height, width = read_color_file(folder, pair.color.path).shape[:2]

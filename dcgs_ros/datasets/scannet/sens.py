@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ScanNet's .sens files, version 4: a header, RGB-D frames one after the other, inertial data.
+"""ScanNet's .sens files, version 4: a header, the RGB-D frames, the IMU's measurements.
 
-The layout is that of SensReader in ScanNet's repository, little-endian throughout. What the file
-says of its sizes is compared with its own before anything is read by it.
+The layout is that of SensReader in ScanNet's repository, little-endian throughout. Sizes in the
+file are checked against the file's own size before anything is read by them.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FrameError
 from ..images.association import MAX_PAIR_GAP_NS
-from ..images.indexed_frames import stamp_of
+from ..images.indexed_frames import stamp_of_index
 from ..source import ImuSample, SourceError
 from .sens_images import (
     JPEG_COLOR,
@@ -35,7 +35,7 @@ from .sens_images import (
 
 _VERSION = 4
 _MAX_NAME = 4096  # bytes of the sensor's name
-_MAX_SIDE = 8192  # pixels: beyond, a header is broken rather than an image large
+_MAX_SIDE = 8192  # pixels: a larger image means a broken header
 _MAX_BLOB = 2**26  # bytes of one stored image; ScanNet's have up to half a megabyte
 _MAX_STAMP_US = 2**62 // 1000
 _MAX_PER_METRE = 1e6
@@ -58,7 +58,7 @@ _IMU = struct.Struct('<15dQ')
 
 @dataclass(frozen=True)
 class SensFile:
-    """What a .sens file says of its images, which `read_images` reads one by one."""
+    """The headers of a .sens file; `read_images` reads the images one by one."""
 
     path: Path
     calibration: NDArray[np.float32]  # (4, 4, 4) K_color, T_rig_color, K_depth, T_rig_depth
@@ -67,17 +67,20 @@ class SensFile:
     color_size: tuple[int, int]  # width and height, pixels
     depth_size: tuple[int, int]
     depth_per_metre: float
-    frames: NDArray  # (N,) of _FRAME: the whole ones
-    offsets: NDArray[np.int64]  # (N,) of their images
-    loss: str | None  # why there are fewer than the header says
+    frames: NDArray[Any]  # (N,) of _FRAME: the complete frames
+    offsets: NDArray[np.int64]  # (N,) bytes, of their images
+    loss: str | None  # why there are fewer frames than the header says
 
     def read_images(
         self, file: BinaryIO, number: int
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-        """Colour (H, W, 3) RGB and raw depth (h, w) of a frame from 0; raises `FrameError`."""
+        """Read colour (H, W, 3) RGB and raw depth (h, w) of frame `number`, from 0.
+
+        Raises `FrameError`.
+        """
         sizes = [int(self.frames[number][name]) for name in ('color_bytes', 'depth_bytes')]
         if max(sizes) > _MAX_BLOB:
-            raise FrameError(f'{max(sizes)} bytes are no image, at most {_MAX_BLOB} are')
+            raise FrameError(f'{max(sizes)} bytes are not an image, which has at most {_MAX_BLOB}')
         file.seek(int(self.offsets[number]))
         color, depth = (file.read(size) for size in sizes)
         return (
@@ -86,13 +89,13 @@ class SensFile:
         )
 
     def stamps_ns(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Stamps (N,) of colour and depth: those of the file, or where they stall 30 Hz.
+        """Return stamps (N,) of colour and depth: the file's if they increase, else at 30 Hz.
 
-        Depth's are colour's where they are not of the same clock.
+        Depth gets colour's stamps if its own are not of the same clock.
         """
         color_us, depth_us = self.frames['color_us'], self.frames['depth_us']
         if not _increase(color_us):
-            stamps_ns = np.array([stamp_of(k) for k in range(len(self.frames))], np.int64)
+            stamps_ns = np.array([stamp_of_index(k) for k in range(len(self.frames))], np.int64)
             return stamps_ns, stamps_ns
         color_ns, depth_ns = (us.astype(np.int64) * 1000 for us in (color_us, depth_us))
         if _increase(depth_us) and np.abs(depth_ns - color_ns).max() <= MAX_PAIR_GAP_NS:
@@ -100,9 +103,9 @@ class SensFile:
         return color_ns, color_ns
 
     def imu(self) -> Iterator[ImuSample]:
-        """Rotation rates; the unit of the accelerations is told nowhere, so they are left out."""
+        """Read the rotation rates. Accelerations are left out, as their unit is not documented."""
         if self.loss is not None or not _increase(self.frames['color_us']):
-            return  # nothing to be found, or no clock in common
+            return  # the file is cut off before them, or there is no common clock
         with open_binary(self.path) as file:
             last = self.frames[-1]
             file.seek(int(self.offsets[-1]) + int(last['color_bytes']) + int(last['depth_bytes']))
@@ -116,7 +119,7 @@ class SensFile:
 
 
 def open_binary(path: Path) -> BinaryIO:
-    """Open a file to be read; raises `SourceError`."""
+    """Open a file for reading; raises `SourceError`."""
     try:
         return path.open('rb')
     except OSError as error:
@@ -124,12 +127,12 @@ def open_binary(path: Path) -> BinaryIO:
 
 
 def read_sens(path: Path) -> SensFile:
-    """Read the header and find the frames; raises `SourceError` saying what cannot be."""
+    """Read the header and find the frames; raises `SourceError` with what is wrong."""
     with open_binary(path) as file:
         version, length = _START.unpack(_exactly(file, _START.size))
         if version != _VERSION or length > _MAX_NAME:
             raise SourceError(
-                f'{path}: version {version} with a name of {length} bytes is no .sens file of '
+                f'{path}: version {version} with a name of {length} bytes is not a .sens file of '
                 f'version {_VERSION}'
             )
         _exactly(file, length)
@@ -140,7 +143,7 @@ def read_sens(path: Path) -> SensFile:
         _check(path, (color_type, depth_type), sides, depth_per_metre)
         frames, offsets, loss = _walk(file, count)
     if not len(frames):
-        raise SourceError(f'{path}: holds no frame: {loss or "its header says so"}')
+        raise SourceError(f'{path}: holds no frame: {loss or "its header counts none"}')
     return SensFile(
         path=path,
         calibration=calibration,
@@ -162,7 +165,7 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
 
 
 def _check(path: Path, kinds: tuple[int, int], sides: list[int], depth_per_metre: float) -> None:
-    """Refuse compressions, image sizes and a unit that cannot be."""
+    """Check that compressions, image sizes and unit are plausible; raises `SourceError`."""
     color_type, depth_type = kinds
     if depth_type == OCCI_DEPTH:
         raise SourceError(f'{path}: its depth is compressed as OCCI, which is not supported')
@@ -179,8 +182,8 @@ def _check(path: Path, kinds: tuple[int, int], sides: list[int], depth_per_metre
         )
 
 
-def _walk(file: BinaryIO, count: int) -> tuple[NDArray, NDArray[np.int64], str | None]:
-    """Find the whole frames of `count` from here on, and why there are not as many."""
+def _walk(file: BinaryIO, count: int) -> tuple[NDArray[Any], NDArray[np.int64], str | None]:
+    """Return headers (N,) and image offsets (N,) of complete frames, and why N < count."""
     end = os.fstat(file.fileno()).st_size
     headers, offsets, loss = bytearray(), array('q'), None
     position = file.tell()
@@ -202,5 +205,5 @@ def _walk(file: BinaryIO, count: int) -> tuple[NDArray, NDArray[np.int64], str |
 
 
 def _increase(stamps_us: NDArray[np.uint64]) -> bool:
-    """Whether these are stamps, rather than zeros or noise."""
+    """Return whether these are usable stamps, rather than zeros or noise."""
     return bool((stamps_us[1:] > stamps_us[:-1]).all() and 0 < stamps_us[-1] < _MAX_STAMP_US)

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ScanNet: a scene's .sens file, or the folder that its tools export.
+"""ScanNet: a scene's .sens file, or the folder that ScanNet's tools export.
 
-The frames are the depth camera's: colour is resampled onto depth's pixels.
+Frames are those of the depth camera: colour is resampled to depth's pixels.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
 from ...io.trajectory import read_tum
-from ..cameras import PRESETS
+from ..camera_presets import PRESETS
 from ..images.association import StampPair
 from ..images.color_resampling import ColorResampling
-from ..images.files import read_depth_file
-from ..images.indexed_frames import numbered_pairs
+from ..images.decoding import read_depth_file
+from ..images.indexed_frames import pair_by_index
 from ..images.sequence import ImageSequence, color_size
-from ..poses import read_matrix, read_pose, rigid_trajectory
+from ..parsing.pose_matrices import read_matrix, read_pose, rigid_trajectory
 from ..source import BadFrame, ImuSample, Source, SourceError, sequence_name
 from .calibration import make_depth_camera, make_resampling
 from .sens import SensFile, open_binary, read_sens
@@ -36,7 +36,7 @@ _PRESET = PRESETS['scannet']
 
 
 def is_scannet(path: Path) -> bool:
-    """Tell whether the path is a .sens file or such a folder."""
+    """Return whether the path is a .sens file or such a folder."""
     if path.is_dir():
         return _exported(path) is not None
     return path.suffix == '.sens' and path.exists()
@@ -47,9 +47,9 @@ def open_scannet(
 ) -> Source:
     """Open a .sens file, or an exported folder.
 
-    `camera` is a preset's name or intrinsics as `parse_intrinsics` takes them, used for the depth
-    camera instead of the scene's own; `groundtruth` a trajectory file used instead of the scene's
-    poses. Raises a `DcgsError` that names the file.
+    `camera` is a preset or intrinsics for the depth camera instead of the scene's own;
+    `groundtruth` a trajectory file instead of the scene's poses. Raises a `DcgsError` that names
+    the file.
     """
     path = Path(path)
     truth = None if groundtruth is None else read_tum(groundtruth)
@@ -70,11 +70,11 @@ class SensSource:
     register: ColorResampling
 
     def __len__(self) -> int:
-        """Count the whole frames, and one more where some are lost."""
+        """Return the number of complete frames, plus one if some are lost."""
         return len(self.file.frames) + (self.file.loss is not None)
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
-        """Read the frames one by one; what is unreadable or lost comes as a `BadFrame`."""
+        """Read the frames one by one; an unreadable one, or a lost rest, is a `BadFrame`."""
         count = len(self.file.frames)
         stamps_ns, depth_stamps_ns = self.file.stamps_ns()
         with open_binary(self.file.path) as file:
@@ -92,7 +92,7 @@ class SensSource:
             yield BadFrame(f'what follows frame {count}', self.file.loss)
 
     def imu(self) -> Iterator[ImuSample]:
-        """Read the rotation rates, where there are any."""
+        """Read the rotation rates, if there are any."""
         return self.file.imu()
 
 
@@ -107,7 +107,7 @@ def _open_sens(path: Path, camera: str | None, truth: Trajectory | None) -> Sens
 
 
 def _exported(path: Path) -> Path | None:
-    """Find the folder with color/ and depth/: the path itself or its frames/."""
+    """Return the folder with color/ and depth/: the path itself, its frames/, or None."""
     for folder in (path, path / 'frames'):
         if all((folder / name).is_dir() for name in ('color', 'depth', 'intrinsic')):
             return folder
@@ -118,7 +118,7 @@ def _open_folder(path: Path, camera: str | None, truth: Trajectory | None) -> Im
     folder = _exported(path)
     if folder is None:
         raise SourceError(f'{path}: neither it nor its frames/ has color/, depth/ and intrinsic/')
-    pairs = numbered_pairs(folder, r'color/([0-9]{1,9})\.jpg', r'depth/([0-9]{1,9})\.png')
+    pairs = pair_by_index(folder, r'color/([0-9]{1,9})\.jpg', r'depth/([0-9]{1,9})\.png')
     intrinsic = folder / 'intrinsic'
     K_depth = np.eye(4) if camera else read_matrix(intrinsic / 'intrinsic_depth.txt')
     depth = make_depth_camera(intrinsic, camera, K_depth, _depth_size(folder, pairs))
@@ -141,8 +141,8 @@ def _open_folder(path: Path, camera: str | None, truth: Trajectory | None) -> Im
 
 
 def _depth_size(folder: Path, pairs: list[StampPair]) -> tuple[int, int]:
-    """Width and height of the first readable depth image; raises `SourceError`."""
-    reason: object = 'there is none'
+    """Return width and height of the first readable depth image; raises `SourceError`."""
+    reason: object = 'there are no images'
     for pair in pairs:
         try:
             height, width = read_depth_file(folder, pair.depth.path).shape

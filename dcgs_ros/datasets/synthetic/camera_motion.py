@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Endless smooth motions of a camera in a hand: slow sways, fast turns and shake."""
+"""Motion of a hand-held camera: slow sways, fast turns and shake; smooth and unending."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Turn:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the hand means to do. Turns repeat every cycle and must add up to nothing."""
+    """The intended motion, without shake. Turns repeat every cycle; each channel's sum is zero."""
 
     centre: tuple[float, ...]  # x y z metres, world; yaw pitch roll degrees
     sways: tuple[Sway, ...]
@@ -45,7 +45,7 @@ class Motion:
 
 
 class HandHeldPath:
-    """A motion with the shake of one seed, played at some speed."""
+    """A motion at some speed, with the shake of a seed."""
 
     def __init__(self, motion: Motion, seed: int, speed: float) -> None:
         """Draw the shake: five sines a channel, 0.4-2.2 Hz, amplitude falling as 1 / f."""
@@ -57,8 +57,8 @@ class HandHeldPath:
         self._frequencies, self._amplitudes = frequencies, amplitudes
         self._phases = rng.uniform(0, 2 * np.pi, (6, 5))
 
-    def poses(self, times_s: NDArray) -> NDArray[np.float64]:
-        """T_world_cam (N, 4, 4) at times (N,): x right, y down, z forward; world z up."""
+    def poses(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return T_world_cam (N, 4, 4) at times (N,), x right, y down, z forward; world z up."""
         x, y, z, *angles = self._channels(np.asarray(times_s, np.float64) * self._speed)
         yaw, pitch, roll = np.deg2rad(angles)
         zero = np.zeros_like(yaw)
@@ -75,8 +75,8 @@ class HandHeldPath:
         poses[:, :3, 3] = np.stack([x, y, z], axis=1)
         return poses
 
-    def _channels(self, t: NDArray) -> NDArray[np.float64]:
-        """(6, N) positions in metres and angles in degrees at path times (N,)."""
+    def _channels(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return positions in metres and angles in degrees (6, N) at times (N,) of the path."""
         motion = self._motion
         values = np.tile(np.array(motion.centre)[:, None], (1, len(t)))
         for sway in motion.sways:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The colour camera: lens, motion blur, auto-exposure and noise."""
+"""Simulated colour camera: lens, motion blur, auto-exposure and noise."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
 from .noise import white_noise
-from .raycast import CastView
+from .raycast import SceneView
 
 EXPOSURE_S = 0.010
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _NOISE_STREAM = 10
-_LENS_SIGMA_PX = 0.5  # also softens the ray caster's jagged silhouettes
+_LENS_SIGMA_PX = 0.5  # also smooths the ray caster's aliased silhouettes
 _MOST_TAPS = 9
 
 
 class AutoExposure:
-    """A gain that follows the mean brightness with lag."""
+    """A gain that follows the mean brightness with a lag."""
 
     target = 112.0  # grey levels
     response = 0.07  # share of the error corrected from one frame to the next, in log gain
@@ -32,44 +32,44 @@ class AutoExposure:
         """Start at unit gain."""
         self.gain = 1.0
 
-    def react(self, radiance: NDArray) -> None:
-        """See one image (H, W, 3) and choose the gain of the next."""
+    def react(self, radiance: NDArray[np.float32]) -> None:
+        """Choose the gain of the next image from this one (H, W, 3)."""
         mean = max(float(radiance[::8, ::8].mean(dtype=np.float64)), 1.0)
         self.gain *= (self.target / (mean * self.gain)) ** self.response
         self.gain = min(max(self.gain, 0.4), 3.0)
 
 
 class FixedExposure:
-    """A gain that stays at one."""
+    """A constant gain of one."""
 
     gain = 1.0
 
-    def react(self, radiance: NDArray) -> None:
+    def react(self, radiance: NDArray[np.float32]) -> None:
         """Ignore the image."""
 
 
-def through_lens(radiance: NDArray) -> NDArray:
-    """Blur (H, W, 3) by the lens' point spread."""
+def through_lens(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Blur (H, W, 3) by the lens' point spread function."""
     return cv2.GaussianBlur(radiance, (3, 3), _LENS_SIGMA_PX)
 
 
-def ideal_image(view: CastView) -> NDArray[np.uint8]:
-    """RGB (H, W, 3) without blur, noise or gain."""
+def ideal_image(view: SceneView) -> NDArray[np.uint8]:
+    """Return RGB (H, W, 3) without blur, noise or gain."""
     return np.minimum(view.radiance + np.float32(0.5), np.float32(255)).astype(np.uint8)
 
 
 def expose(
-    view: CastView,
+    view: SceneView,
     camera: PinholeCamera,
     T_later_now: NDArray[np.float64],
     gain: float,
     seed: int,
     index: int,
 ) -> NDArray[np.uint8]:
-    """Take one RGB image (H, W, 3).
+    """Return an RGB image (H, W, 3) with motion blur, gain and noise.
 
-    `T_later_now` (4, 4) maps the camera's frame at the middle of the exposure to that at its end:
-    the image is averaged along each pixel's analytic path between them and its mirror image.
+    `T_later_now` (4, 4) maps the camera's frame at the middle of the exposure to that at its end.
+    The image is averaged along each pixel's path to its place at the end, and equally far back.
     """
     height, width = view.depth_m.shape
     noise = white_noise(seed, index, _NOISE_STREAM, (3, height, width))
@@ -82,7 +82,10 @@ def expose(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _displacement(x, y, z, intrinsics, motion):
-    """Where the point seen at a pixel is at the end of the exposure, less where it is."""
+    """Return by how many pixels the point at pixel (x, y), depth z m, moves until the end.
+
+    `intrinsics` (4,) fx fy cx cy and `motion` (3, 4), both float32, are those of `_expose`.
+    """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     px, py = (x - cx) / fx * z, (y - cy) / fy * z
     qx = motion[0, 0] * px + motion[0, 1] * py + motion[0, 2] * z + motion[0, 3]
@@ -94,13 +97,18 @@ def _displacement(x, y, z, intrinsics, motion):
 
 @njit(cache=True, nogil=True, fastmath=True, parallel=True)
 def _expose(radiance, depth, intrinsics, motion, gain, noise, image):
+    """Write `image` (H, W, 3) uint8, blurred along the motion, amplified and noisy.
+
+    `radiance` (H, W, 3) grey levels, `depth` (H, W) metres, `intrinsics` (4,) fx fy cx cy,
+    `motion` (3, 4) T_later_now, `noise` (3, H, W) standard normal; all float32.
+    """
     height, width = depth.shape
     for y in prange(height):
         total = np.empty(3, np.float32)
         for x in range(width):
             z = depth[y, x] if depth[y, x] > 0 else np.float32(10.0)
             dx, dy = _displacement(np.float32(x), np.float32(y), z, intrinsics, motion)
-            # One tap a pixel and a half of travel; the lens has blurred more than that.
+            # One tap per 1.5 pixels of motion, which the lens' blur covers.
             taps = min(_MOST_TAPS, 1 + int(np.float32(1.34) * math.sqrt(dx * dx + dy * dy)))
             total[0] = total[1] = total[2] = np.float32(0.0)
             for k in range(taps):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What depth cameras make of true depth: structured light (Kinect v1), active stereo (D435i)."""
+"""Simulated depth cameras: structured light (Kinect v1) and active stereo (D435i)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...core.camera import PinholeCamera
 from ...core.sensor import SensorNoise
 from .color_camera import LUMA
 from .noise import smoothed, white_noise
-from .raycast import CastView
+from .raycast import SceneView
 
 _NOISE_STREAM = 20
 _WINDOW = (13, 13)  # 9 pixels of the depth imager
@@ -31,14 +31,14 @@ class DepthCamera(Protocol):
     sees_texture: bool  # whether `measure` wants the view's radiance
 
     def measure(
-        self, view: CastView, camera: PinholeCamera, pattern: float, seed: int, index: int
+        self, view: SceneView, camera: PinholeCamera, pattern: float, seed: int, index: int
     ) -> NDArray[np.float32]:
-        """Depth (H, W) in metres, 0 = none; `pattern` is `SceneSetup.pattern`."""
+        """Return measured depth (H, W) in metres, 0 = none; `pattern` is `Scenario.pattern`."""
         ...
 
 
 class IdealDepth:
-    """True depth at colour's instant."""
+    """True depth at the instant of colour."""
 
     noise = SensorNoise.floor(0.001)
     lag_ms = (0.0, 0.0)
@@ -46,14 +46,14 @@ class IdealDepth:
     sees_texture = False
 
     def measure(
-        self, view: CastView, camera: PinholeCamera, pattern: float, seed: int, index: int
+        self, view: SceneView, camera: PinholeCamera, pattern: float, seed: int, index: int
     ) -> NDArray[np.float32]:
-        """Return the view's depth itself."""
+        """Return the true depth."""
         return view.depth_m
 
 
 class StructuredLight:
-    """Kinect v1: noise after Nguyen 2012, 1/8 px disparity, shadows, ragged edges."""
+    """Kinect v1: noise after Nguyen 2012, disparity in 1/8 px, shadows, ragged edges."""
 
     noise = SensorNoise.structured_light()
     lag_ms = (0.0, 25.0)
@@ -61,9 +61,9 @@ class StructuredLight:
     sees_texture = False
 
     def measure(
-        self, view: CastView, camera: PinholeCamera, pattern: float, seed: int, index: int
+        self, view: SceneView, camera: PinholeCamera, pattern: float, seed: int, index: int
     ) -> NDArray[np.float32]:
-        """Noise whose total, quantisation included, is 0.0012 + 0.0019 (z - 0.4)^2 metres."""
+        """Measure with a total noise, quantisation included, of 0.0012 + 0.0019 (z - 0.4)^2 m."""
         white = white_noise(seed, index, _NOISE_STREAM, (5, *view.depth_m.shape))
         smooth = np.stack([smoothed(plane, 1.2) for plane in white[1:]])
         window = np.ones((5, 5), np.uint8)
@@ -74,7 +74,7 @@ class StructuredLight:
 
 
 class ActiveStereo:
-    """D435i: window matching whose noise comes in blobs, fattened edges, holes without texture."""
+    """D435i: window matching with correlated noise, fattened edges, holes without texture."""
 
     depth_focal_px = 385.0
     baseline_m = 0.05
@@ -85,9 +85,9 @@ class ActiveStereo:
     sees_texture = True
 
     def measure(
-        self, view: CastView, camera: PinholeCamera, pattern: float, seed: int, index: int
+        self, view: SceneView, camera: PinholeCamera, pattern: float, seed: int, index: int
     ) -> NDArray[np.float32]:
-        """Match a window that sees the nearer surface first and needs contrast to match at all."""
+        """Match by a window that prefers the nearer surface and needs contrast to match."""
         white = white_noise(seed, index, _NOISE_STREAM, (3, *view.depth_m.shape))
         disparity_blobs = smoothed(white[1], 2.4)
         flicker = smoothed(white[2], 4.0)
@@ -112,8 +112,10 @@ class ActiveStereo:
         return measured
 
 
-def _local_texture(radiance: NDArray) -> tuple[NDArray, NDArray]:
-    """Deviation and mean (H, W) of grey levels over the matching window of 13 pixels."""
+def _local_texture(
+    radiance: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return deviation and mean (H, W) of grey levels over the matching window of 13 pixels."""
     luma = cv2.transform(radiance, LUMA[None])
     mean = cv2.boxFilter(luma, -1, _WINDOW)
     square = cv2.sqrBoxFilter(luma, cv2.CV_32F, _WINDOW)
@@ -123,12 +125,13 @@ def _local_texture(radiance: NDArray) -> tuple[NDArray, NDArray]:
 @njit(cache=True, nogil=True, parallel=True)
 def _structured_light(
     depth,  # (H, W) metres
-    cosine,  # (H, W)
+    cosine,  # (H, W) between ray and normal
     step,  # (H, W) range of depth over 5x5 pixels, metres
     white,  # (H, W) standard normal
     smooth,  # (4, H, W) standard normal, correlated over 3 pixels: depth, x, y, dropout
-    out,  # (H, W)
+    out,  # (H, W) metres, 0 = none
 ):
+    """Write the depth `out` (H, W) that a structured-light camera measures; all are float32."""
     fb = np.float32(580.0 * 0.075)  # pixels times metres
     height, width = depth.shape
     for y in prange(height):
@@ -138,8 +141,8 @@ def _structured_light(
             z = depth[y, x]
             if z <= 0:
                 continue
-            # The projector stands beside the camera: a nearer surface to the left hides what
-            # its disparity reaches over.
+            # The projector is beside the camera: a nearer surface to the left shadows the pixels
+            # that its disparity spans.
             shift = fb / z + np.float32(x)
             hidden = reach > shift + np.float32(1.0)
             reach = max(reach, shift)
@@ -168,8 +171,8 @@ def _structured_light(
 @njit(cache=True, nogil=True, parallel=True)
 def _active_stereo(
     depth,  # (H, W) metres
-    cosine,  # (H, W)
-    nearer,  # (2, H, W) least depth over two matching windows
+    cosine,  # (H, W) between ray and normal
+    nearer,  # (2, H, W) least depth over two matching windows, metres
     contrast,  # (H, W) grey levels
     brightness,  # (H, W) grey levels
     pattern,  # contrast of the projected dots on white at 1 m, grey levels
@@ -179,8 +182,9 @@ def _active_stereo(
     fb,  # focal length times baseline of the depth imagers, pixels times metres
     subpixel,  # sigma of the disparity, pixels
     zoom,  # pixels of the image per pixel of the depth imagers
-    out,  # (H, W)
+    out,  # (H, W) metres, 0 = none
 ):
+    """Write the depth `out` (H, W) that an active stereo camera measures; all are float32."""
     height, width = depth.shape
     for y in prange(height):
         reach = np.float32(-1e9)
@@ -189,7 +193,7 @@ def _active_stereo(
             z = depth[y, x]
             if z <= 0:
                 continue
-            # The window takes the nearer surface's disparity: objects grow by half a window.
+            # The window matches at the nearer surface's disparity: objects grow by half a window.
             front = nearer[0 if flicker[y, x] < 0 else 1, y, x]
             fattened = front > 0 and fb / front - fb / z > np.float32(1.0)
             if fattened:
@@ -198,7 +202,7 @@ def _active_stereo(
             hidden = reach > shift + np.float32(1.0) and not fattened
             reach = max(reach, shift)
             dots = pattern * brightness[y, x] / np.float32(200.0) * cosine[y, x] / (z * z)
-            # Fixed noise of the imagers, worse in the dark, is what texture competes with.
+            # Texture must exceed the imagers' own noise, which is worse in the dark.
             grain = np.float32(2.0) + np.float32(60.0) / (brightness[y, x] + np.float32(10.0))
             quality = math.log((contrast[y, x] + dots) / grain + np.float32(1e-3))
             margin = np.float32(quality) + np.float32(0.35) * flicker[y, x]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Gaussian noise images from a counter, so that the number of threads cannot change them."""
+"""Gaussian noise images from a counter-based generator: the same with any number of threads."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ _QUANTILES = ndtri((np.arange(1 << _BITS) + 0.5) / (1 << _BITS)).astype(np.float
 _QUANTILES /= _QUANTILES.std()
 
 
-def white_noise(seed: int, index: int, stream: int, shape: tuple[int, int, int]) -> NDArray:
-    """Independent standard normal planes (C <= 5, H, W) float32 of one stream of one frame."""
+def white_noise(
+    seed: int, index: int, stream: int, shape: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    """Return independent standard normal planes (C <= 5, H, W) of one stream of one frame."""
     key = np.random.SeedSequence((seed, index, stream)).generate_state(1, np.uint64)[0]
     planes = np.empty(shape, np.float32)
     _fill(key, _QUANTILES, planes)
     return planes
 
 
-def smoothed(plane: NDArray, sigma_px: float) -> NDArray[np.float32]:
-    """Blur a white plane (H, W) and bring it back to unit variance."""
+def smoothed(plane: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Return a white plane (H, W), blurred and scaled back to unit variance."""
     size = 2 * round(3 * sigma_px) + 1
     # Independent samples under weights k k^T have the variance (sum k^2)^2.
     deviation = float(np.square(cv2.getGaussianKernel(size, sigma_px)).sum())
@@ -33,7 +35,10 @@ def smoothed(plane: NDArray, sigma_px: float) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True, parallel=True)
 def _fill(key, quantiles, planes):
-    """SplitMix64 of the pixel's number; each plane takes other bits of it."""
+    """Fill `planes` (C, H, W) float32 from SplitMix64 of the pixel's number.
+
+    Each plane takes other bits of the hash, which select from `quantiles` (2 ** _BITS,) float32.
+    """
     count, height, width = planes.shape
     mask = np.uint64(quantiles.shape[0] - 1)
     for y in prange(height):

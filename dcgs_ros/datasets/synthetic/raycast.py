@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Analytic ray caster for scenes of textured boxes and spheres."""
+"""Ray caster for scenes of textured boxes and spheres."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _EDGES = np.array([(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a 
 class Scene:
     """P primitives as arrays.
 
-    A box that holds the camera is a room: it is seen from inside and must hold all else, too.
+    A box around the camera is a room: it is seen from inside, and everything must be inside it.
     """
 
     kinds: NDArray[np.int64]  # (P,) BOX or SPHERE
     centres: NDArray[np.float64]  # (P, 3) metres, world
-    halves: NDArray[np.float64]  # (P, 3) half extents, metres; a sphere's radius three times
+    halves: NDArray[np.float64]  # (P, 3) half extents, metres; of a sphere its radius, three times
     R_world_local: NDArray[np.float64]  # (P, 3, 3)
-    textures: NDArray[np.int64]  # (P,) -1 = plain
+    textures: NDArray[np.int64]  # (P,) index into `TEXTURE_NAMES`, -1 = plain
     mappings: NDArray[np.float32]  # (P, 3) texture repeats per metre, offset u, offset v
     tints: NDArray[np.float32]  # (P, 3) albedo, RGB
     lamp: NDArray[np.float32]  # (3,) position, metres, world
-    ambient: float  # share of the light that comes from everywhere
+    ambient: float  # share of the light that is ambient
 
-    def clearance(self, points: NDArray) -> NDArray[np.float64]:
-        """Distance (N,) of points (N, 3) to the nearest surface, metres."""
+    def clearance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distance (N,) of points (N, 3) to the nearest surface, metres."""
         offsets = points[:, None] - self.centres
         local = np.abs(np.einsum('pji,npj->npi', self.R_world_local, offsets)) - self.halves
         outside = np.linalg.norm(np.maximum(local, 0), axis=2)
@@ -47,27 +47,27 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class CastView:
-    """What one camera pose sees."""
+class SceneView:
+    """What a camera sees of a scene from one pose, before lens and noise."""
 
     depth_m: NDArray[np.float32]  # (H, W) along the optical axis, 0 = nothing hit
     cosine: NDArray[np.float32]  # (H, W) between the ray and the surface's normal
-    radiance: NDArray[np.float32]  # (H, W, 3) RGB in grey levels at gain 1; (0, 0, 3) if unwanted
+    radiance: NDArray[np.float32]  # (H, W, 3) RGB, grey levels at gain 1; (0, 0, 3) if unwanted
 
 
 class Primitives(NamedTuple):
-    """What the kernel reads: the P visible primitives from front to back, in their own frames."""
+    """The kernels' input: the P visible primitives from front to back, in their own frames."""
 
     kinds: NDArray[np.int64]  # (P,)
     origins: NDArray[np.float32]  # (P, 3) camera centre
     rotations: NDArray[np.float32]  # (P, 3, 3) camera to primitive
     halves: NDArray[np.float32]  # (P, 3)
-    nearest: NDArray[np.float32]  # (P,) least depth
-    bounds: NDArray[np.int64]  # (P, 4) pixels x0 x1 y0 y1
+    nearest: NDArray[np.float32]  # (P,) least depth, metres
+    bounds: NDArray[np.int64]  # (P, 4) range of pixels, x0 x1 y0 y1
     textures: NDArray[np.int64]  # (P,)
     mappings: NDArray[np.float32]  # (P, 3)
     tints: NDArray[np.float32]  # (P, 3)
-    lamps: NDArray[np.float32]  # (P, 3) lamp
+    lamps: NDArray[np.float32]  # (P, 3) position of the lamp
 
 
 def cast(
@@ -77,10 +77,10 @@ def cast(
     T_world_cam: NDArray[np.float64],
     *,
     color: bool,
-) -> CastView:
-    """Render depth, and colour if wanted, of a camera without distortion at pose (4, 4)."""
+) -> SceneView:
+    """Render depth, and colour if wanted, for a camera without distortion at a pose (4, 4)."""
     height, width = camera.height, camera.width
-    view = CastView(
+    view = SceneView(
         np.empty((height, width), np.float32),
         np.empty((height, width), np.float32),
         np.empty((height, width, 3) if color else (0, 0, 3), np.float32),
@@ -99,8 +99,8 @@ def cast(
     return view
 
 
-def _visible(scene: Scene, camera: PinholeCamera, T_world_cam: NDArray) -> Primitives:
-    """Bring camera and lamp into each primitive's frame and sort by depth."""
+def _visible(scene: Scene, camera: PinholeCamera, T_world_cam: NDArray[np.float64]) -> Primitives:
+    """Transform camera and lamp to each primitive's frame, drop invisible ones, sort by depth."""
     R_local_world = scene.R_world_local.transpose(0, 2, 1)
     origins = np.einsum('pij,pj->pi', R_local_world, T_world_cam[:3, 3] - scene.centres)
     lamps = np.einsum('pij,pj->pi', R_local_world, scene.lamp - scene.centres)
@@ -124,9 +124,17 @@ def _visible(scene: Scene, camera: PinholeCamera, T_world_cam: NDArray) -> Primi
 
 
 def _screen_bounds(
-    origins: NDArray, rotations: NDArray, halves: NDArray, room: NDArray, camera: PinholeCamera
+    origins: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+    halves: NDArray[np.float64],
+    room: NDArray[np.bool_],
+    camera: PinholeCamera,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Least depth (P,) of each primitive's box and its pixels' range (P, 4) as x0 x1 y0 y1."""
+    """Return least depth (P,) and range of pixels (P, 4), x0 x1 y0 y1, of the primitives' boxes.
+
+    `origins` (P, 3), `rotations` (P, 3, 3) and `halves` (P, 3) as in `Primitives`; `room` (P,)
+    tells which boxes hold the camera.
+    """
     corners = _CORNERS * halves[:, None] - origins[:, None]
     corners = np.einsum('pji,pcj->pci', rotations, corners)  # (P, 8, 3) camera
     a, b = corners[:, _EDGES[:, 0]], corners[:, _EDGES[:, 1]]
@@ -142,5 +150,5 @@ def _screen_bounds(
     bounds = np.stack([lowest[0], highest[0], lowest[1], highest[1]], axis=1)
     bounds = np.clip(np.floor(bounds) + np.array([0, 1, 0, 1]), -1e6, 1e6).astype(np.int64)
     bounds[room] = 0, camera.width, 0, camera.height
-    # A room lies behind all it holds: it comes last, and only for tiles with rays left.
+    # A room is behind everything inside it: it is last, and traced only by rays that hit nothing.
     return np.where(room, float(FAR), np.maximum(corners[..., 2].min(axis=1), 0)), bounds

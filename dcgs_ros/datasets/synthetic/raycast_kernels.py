@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Kernels of the ray caster, all in one file: Numba's cache sees changes of no other."""
+"""Kernels of the ray caster, all in one file, as Numba's cache does not track other files.
+
+Scalars are float32; a ray is (x/z, y/z, 1), so a hit's distance along it is its depth in metres.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ _TILE = 16  # pixels; a multiple of the vector width, small enough to cull well
 NEAR_M = 0.05
 FAR = np.float32(1e9)
 _BACKGROUND = np.float32(20.0)  # grey level where a ray meets nothing
-_PLAIN = np.float32(190.0)  # albedo of what has no texture
+_PLAIN = np.float32(190.0)  # grey level of surfaces without a texture
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline='always')
 def _box_slab(o, d, half):
-    """Entry and exit along one axis."""
+    """Return where a ray o + s d, scalars of one axis, enters and leaves -half to half."""
     d = d if abs(d) > np.float32(1e-9) else np.float32(1e-9)
     inverse = np.float32(1.0) / d
     first = (-half - o) * inverse
@@ -29,7 +32,12 @@ def _box_slab(o, d, half):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _meet_box(row_x, dy, o, R, half, prim, best, hit):
-    """Update the nearest hits of one row of a tile, branch-free so that it vectorises."""
+    """Update the nearest hits of one row of a tile with a box, without branches, to vectorise.
+
+    `row_x` (W,) and `dy` are the rays' x/z and y/z; `o` (3,) is the camera centre, `R` (3, 3) the
+    rotation from the camera, `half` (3,) the half extents, in the box' frame and metres. `best`
+    (W,) depth and `hit` (W,) primitive index are written where the box, number `prim`, is nearer.
+    """
     zero, near = np.float32(0.0), np.float32(NEAR_M)
     o0, o1, o2 = o[0], o[1], o[2]
     h0, h1, h2 = half[0], half[1], half[2]
@@ -50,7 +58,11 @@ def _meet_box(row_x, dy, o, R, half, prim, best, hit):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _meet_sphere(row_x, dy, o, R, radius, prim, best, hit):
-    """Update the nearest hits of one row of a tile."""
+    """Update the nearest hits of one row of a tile with a sphere of `radius` metres.
+
+    All else is as in `_meet_box`: `row_x` (W,), `o` (3,), `R` (3, 3); writes `best` (W,) and
+    `hit` (W,).
+    """
     c = o[0] * o[0] + o[1] * o[1] + o[2] * o[2] - radius * radius
     for k in range(row_x.shape[0]):
         d0 = R[0, 0] * row_x[k] + R[0, 1] * dy + R[0, 2]
@@ -68,7 +80,10 @@ def _meet_sphere(row_x, dy, o, R, radius, prim, best, hit):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _surface(kind, ray, point, half):
-    """Return a hit's normal towards the camera, texture coordinates in metres, and face."""
+    """Return a hit's normal (3) towards the camera, texture coordinates in metres, and face.
+
+    `ray`, `point` and `half` are tuples of three, in the primitive's frame; metres.
+    """
     p0, p1, p2 = point
     zero, one = np.float32(0.0), np.float32(1.0)
     if kind == SPHERE:
@@ -86,7 +101,10 @@ def _surface(kind, ray, point, half):
 
 @njit(cache=True, nogil=True)
 def _lanes(texels, index, weight):
-    """Red, green and blue of a texel, each in 21 bits of one word, times a 13-bit weight."""
+    """Return red, green and blue of a texel, 21 bits each of one word, times a 13-bit weight.
+
+    `texels` (M,) is `Textures.texels`.
+    """
     rgb = np.uint64(texels[index])
     red = rgb & np.uint64(0xFF)
     green = (rgb & np.uint64(0xFF00)) << np.uint64(13)
@@ -96,7 +114,11 @@ def _lanes(texels, index, weight):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _sample(texels, start, size, u, v):
-    """Bilinear, wrapped sample (3) at (u, v) repeats, to 1/64 texel; integers, for speed."""
+    """Return the bilinear, wrapped sample (3) at (u, v) repeats, to 1/64 texel.
+
+    `texels` (M,) is `Textures.texels`, of which one level of `size` x `size` begins at `start`.
+    Computed in integers, for speed.
+    """
     # Rounding towards zero, cheaper than down, errs by 1/64 texel at most.
     x = int(u * np.float32(64 * size)) - 32
     y = int(v * np.float32(64 * size)) - 32
@@ -120,7 +142,10 @@ def _sample(texels, start, size, u, v):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _paint(texels, starts, texture, size, u, v, footprint):
-    """Trilinear sample (3) at (u, v) repeats under a pixel of `footprint` repeats."""
+    """Return the trilinear sample (3) at (u, v) repeats for a pixel of `footprint` repeats.
+
+    `texels` (M,), `starts` (textures, levels) and `size` are those of `Textures`.
+    """
     texel = max(np.float32(1.0), footprint * np.float32(size))
     level = min(np.float32(math.log2(texel)), np.float32(starts.shape[1] - 1.001))
     k = int(level)
@@ -132,7 +157,10 @@ def _paint(texels, starts, texture, size, u, v, footprint):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _light(normal, point, lamp, ambient):
-    """Lambert's law for a lamp at finite distance, on top of ambient light."""
+    """Return ambient light plus Lambert's law for a lamp at finite distance.
+
+    `normal`, `point` and `lamp` are tuples of three, in the primitive's frame; metres.
+    """
     l0, l1, l2 = lamp[0] - point[0], lamp[1] - point[1], lamp[2] - point[2]
     square = l0 * l0 + l1 * l1 + l2 * l2
     facing = max(np.float32(0.0), normal[0] * l0 + normal[1] * l1 + normal[2] * l2)
@@ -142,7 +170,11 @@ def _light(normal, point, lamp, ambient):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _trace_tile(prims, row_x, row_y, x0, y0):
-    """Depth and number of the nearest primitive of each pixel of a tile."""
+    """Return depth (h, w), metres, and index (h, w) of the nearest primitive of a tile's pixels.
+
+    `prims` is a `Primitives`; `row_x` (w,) and `row_y` (h,) are the pixels' x/z and y/z, and the
+    tile begins at pixel (x0, y0). Where nothing is hit, depth is `FAR` and the index -1.
+    """
     best = np.full((row_y.shape[0], row_x.shape[0]), FAR, np.float32)
     hit = np.full(best.shape, -1, np.int32)
     x1, y1 = x0 + row_x.shape[0], y0 + row_y.shape[0]
@@ -165,8 +197,13 @@ def _trace_tile(prims, row_x, row_y, x0, y0):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _shade_tile(prims, textures, best, hit, row_x, row_y, pixel, ambient, depth, cosine, radiance):
-    """Write depth and slant of a tile's pixels and, unless radiance is empty, their colour."""
-    # All arrays of a tile are read here and only numbers passed on: tuples of arrays are dear.
+    """Write `depth` (h, w), metres, `cosine` (h, w) and `radiance` (h, w, 3) of a tile's pixels.
+
+    `prims` is a `Primitives`, `textures` a `Textures`; `best` and `hit` (h, w) are those of
+    `_trace_tile`, `row_x` (w,) and `row_y` (h,) the pixels' x/z and y/z, and `pixel` the extent of
+    one at depth 1. An empty `radiance` is not written.
+    """
+    # Arrays are read here and only numbers passed on, as passing tuples of arrays is slow.
     R, o, h, lamps = prims.rotations, prims.origins, prims.halves, prims.lamps
     mappings, tints = prims.mappings, prims.tints
     texels, starts, size = textures.texels, textures.starts, textures.size
@@ -209,16 +246,16 @@ def _shade_tile(prims, textures, best, hit, row_x, row_y, pixel, ambient, depth,
 @njit(cache=True, nogil=True, fastmath=True, parallel=True)
 def cast_tiles(
     prims,  # `Primitives`
-    ray_x,  # (W,) x/z of each column
-    ray_y,  # (H,) y/z of each row
+    ray_x,  # (W,) float32, x/z of each column
+    ray_y,  # (H,) float32, y/z of each row
     pixel,  # extent of a pixel at depth 1
-    ambient,
+    ambient,  # share of the light
     textures,  # `Textures`
-    depth,  # (H, W) out
-    cosine,  # (H, W) out
-    radiance,  # (H, W, 3) out, or (0, 0, 3)
+    depth,  # (H, W) float32 out, metres
+    cosine,  # (H, W) float32 out, between ray and normal
+    radiance,  # (H, W, 3) float32 out, grey levels; or (0, 0, 3): not wanted
 ):
-    """Render tile by tile; each holds its own few candidates in fast memory."""
+    """Write `depth`, `cosine` and `radiance` (H, W[, 3]) by tiles, for locality and culling."""
     height, width = depth.shape
     columns = (width + _TILE - 1) // _TILE
     rows = (height + _TILE - 1) // _TILE

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The three synthetic stages: a furnished room, a textured plane, an untextured folding screen."""
+"""The synthetic scenes: a furnished room, a textured plane, an untextured folding screen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,8 @@ _CLUTTER = ('poster', 'print', 'keys', 'poster', 'books')
 
 
 @dataclass(frozen=True)
-class SceneSetup:
-    """A scene and how a hand moves a camera through it."""
+class Scenario:
+    """A scene, and the motion of the camera through it."""
 
     scene: Scene
     motion: Motion
@@ -29,10 +30,10 @@ class SceneSetup:
 
 
 class _Builder:
-    """Collects primitives."""
+    """Collects the primitives of a scene."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple] = []
+        self._rows: list[tuple[Any, ...]] = []
 
     def box(
         self,
@@ -47,7 +48,7 @@ class _Builder:
         c, s = np.cos(yaw), np.sin(yaw)
         rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         index = TEXTURE_NAMES.index(texture) if texture else -1
-        # Golden-ratio steps show another part of the texture on each thing.
+        # Steps of the golden ratio, so that each box shows another part of the texture.
         offset = (0.618 * len(self._rows)) % 1.0, (0.414 * len(self._rows)) % 1.0
         self._rows.append((BOX, centre, half, rotation, index, (repeats_per_m, *offset), tint))
 
@@ -58,7 +59,7 @@ class _Builder:
         self._rows.append((SPHERE, centre, (radius,) * 3, np.eye(3), index, mapping, WHITE))
 
     def build(self, lamp: Floats, ambient: float) -> Scene:
-        """Stack what was added."""
+        """Return the scene of all primitives added."""
         kinds, centres, halves, rotations, textures, mappings, tints = zip(
             *self._rows, strict=True
         )
@@ -78,12 +79,12 @@ class _Builder:
 def _desk(
     build: _Builder,
     rng: np.random.Generator,
-    low: NDArray,
-    high: NDArray,
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
     height: float,
     things: int,
 ) -> None:
-    """Put a top on four legs over the rectangle low..high (2,) and clutter on it."""
+    """Add a desk over the rectangle low..high (2,), with clutter on it; metres."""
     middle, half = (low + high) / 2, (high - low) / 2
     build.box((*middle, height - 0.02), (*half, 0.02), 'wood', 0.7)
     for sx in (-1, 1):
@@ -98,12 +99,12 @@ def _desk(
 def _clutter(
     build: _Builder,
     rng: np.random.Generator,
-    low: NDArray,
-    high: NDArray,
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
     height: float,
     things: int,
 ) -> None:
-    """Strew papers, boxes and balls over a surface at `height`."""
+    """Scatter papers, boxes and balls over the rectangle low..high (2,) at `height`; metres."""
     for k in range(things):
         x, y = rng.uniform(low, high)
         kind = rng.random()
@@ -111,7 +112,7 @@ def _clutter(
         texture = str(rng.choice(_CLUTTER))
         tint = rng.uniform(0.65, 1.0, 3)
         if kind < 0.3:
-            thick = 0.002 + 0.0005 * k  # where sheets overlap, one lies on top
+            thick = 0.002 + 0.0005 * k  # differs, so that one of two overlapping sheets is on top
             build.box((x, y, height + thick), (0.105, 0.148, thick), 'print', 1.6, tint, yaw)
         elif kind < 0.85:
             half = rng.uniform((0.04, 0.04, 0.02), (0.11, 0.11, 0.13))
@@ -122,14 +123,14 @@ def _clutter(
 
 
 def _screen(build: _Builder, x: float, y: float, height: float, yaw: float) -> None:
-    """Stand a monitor on a desk, with its keyboard towards the room."""
+    """Add a monitor on a desk, and a keyboard in front of it."""
     build.box((x, y, height + 0.06), (0.03, 0.05, 0.06), None, 1, (0.2,) * 3, yaw)
     build.box((x, y, height + 0.3), (0.025, 0.3, 0.19), 'print', 0.9, (0.55, 0.65, 0.8), yaw)
     build.box((x - 0.27, y, height + 0.012), (0.07, 0.21, 0.012), 'keys', 1.8, WHITE, yaw)
 
 
 def _walls(build: _Builder) -> None:
-    """Shell, floor and what hangs on the walls; the west and parts of the others stay plain."""
+    """Add walls, floor and pictures; the west wall and parts of the others stay plain."""
     build.box((0, 0, 1.3), (2.8, 2.4, 1.3), 'plaster', 0.4, (1.0, 0.97, 0.9))
     build.box((0, 0, 0.002), (2.8, 2.4, 0.002), 'carpet', 0.45, (0.9, 0.82, 0.75))
     for y, z, half_y, half_z in (
@@ -146,8 +147,8 @@ def _walls(build: _Builder) -> None:
     build.box((-2.795, -0.9, 1.0), (0.01, 0.45, 1.0), 'wood', 0.5, (0.9, 0.8, 0.7))
 
 
-def _room(rng: np.random.Generator) -> SceneSetup:
-    """Furnish a study of 5.6 x 4.8 x 2.6 m; the hand stays in its middle, facing the desks."""
+def _room(rng: np.random.Generator) -> Scenario:
+    """Build a study of 5.6 x 4.8 x 2.6 m; the camera stays in its middle, facing the desks."""
     build = _Builder()
     _walls(build)
     _desk(build, rng, np.array([1.9, -1.75]), np.array([2.76, -0.05]), 0.74, 13)
@@ -182,11 +183,11 @@ def _room(rng: np.random.Generator) -> SceneSetup:
             Turn(YAW, 18.0, 25.0, 0.5), Turn(YAW, 19.0, -25.0, 0.55),
         ),
     )  # fmt: skip
-    return SceneSetup(build.build((0.5, 0.0, 2.3), 0.55), motion, pattern=4.0)
+    return Scenario(build.build((0.5, 0.0, 2.3), 0.55), motion, pattern=4.0)
 
 
-def _plane(rng: np.random.Generator) -> SceneSetup:
-    """Lay out one textured plane: depth alone leaves three degrees of freedom open."""
+def _plane(rng: np.random.Generator) -> Scenario:
+    """Build one textured plane: depth alone leaves three degrees of freedom unobserved."""
     build = _Builder()
     build.box((0, 0, -0.01), (6, 6, 0.01), 'poster', 0.5)
     motion = Motion(
@@ -198,11 +199,11 @@ def _plane(rng: np.random.Generator) -> SceneSetup:
         turns=(Turn(YAW, 7.0, 14.0, 0.45), Turn(YAW, 8.0, -14.0, 0.45)),
         cycle_s=16.0,
     )  # fmt: skip
-    return SceneSetup(build.build((0.0, 0.0, 3.0), 0.6), motion, pattern=4.0)
+    return Scenario(build.build((0.0, 0.0, 3.0), 0.6), motion, pattern=4.0)
 
 
-def _zigzag(rng: np.random.Generator) -> SceneSetup:
-    """Unfold a screen before a wall, without any texture: only geometry holds the camera."""
+def _zigzag(rng: np.random.Generator) -> Scenario:
+    """Build a folding screen before a wall, without texture: only geometry constrains."""
     build = _Builder()
     build.box((0, -2.3, 1.5), (5.0, 3.5, 1.5), None, 1, (0.62, 0.64, 0.62))
     build.box((0, -2.3, 0.002), (5.0, 3.5, 0.002), None, 1, (0.8, 0.8, 0.8))
@@ -221,17 +222,17 @@ def _zigzag(rng: np.random.Generator) -> SceneSetup:
         turns=(Turn(YAW, 6.0, 22.0, 0.7), Turn(YAW, 7.2, -22.0, 0.7)),
         cycle_s=16.0,
     )  # fmt: skip
-    return SceneSetup(build.build((-1.0, -2.0, 2.6), 0.5), motion, pattern=16.0)
+    return Scenario(build.build((-1.0, -2.0, 2.6), 0.5), motion, pattern=16.0)
 
 
-_STAGES: dict[str, Callable[[np.random.Generator], SceneSetup]] = {
+_SCENARIOS: dict[str, Callable[[np.random.Generator], Scenario]] = {
     'room': _room,
     'plane': _plane,
     'zigzag': _zigzag,
 }
-SCENE_NAMES = tuple(_STAGES)
+SCENE_NAMES = tuple(_SCENARIOS)
 
 
-def build_setup(name: str, seed: int) -> SceneSetup:
-    """Furnish one of `SCENE_NAMES`; the seed strews the clutter."""
-    return _STAGES[name](np.random.default_rng((seed, 2)))
+def build_scenario(name: str, seed: int) -> Scenario:
+    """Build one of `SCENE_NAMES`; the seed places the clutter."""
+    return _SCENARIOS[name](np.random.default_rng((seed, 2)))

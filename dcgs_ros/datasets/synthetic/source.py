@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Endless synthetic sequences with exact ground truth: `synthetic:room?sensor=d435i&seed=1`."""
+"""Synthetic sequences with exact ground truth: `synthetic:room?sensor=d435i&seed=1`."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from .color_camera import (
     through_lens,
 )
 from .depth_cameras import ActiveStereo, DepthCamera, IdealDepth, StructuredLight
-from .raycast import CastView, cast
-from .scenes import SCENE_NAMES, build_setup
+from .raycast import SceneView, cast
+from .scenes import SCENE_NAMES, build_scenario
 from .textures import build_textures
 
 _SENSORS: dict[str, type[DepthCamera]] = {
@@ -45,7 +45,7 @@ _FRAMES_RANGE, _SEED_RANGE, _SPEED_RANGE = (1, 1_000_000), (0, 2**31 - 1), (0.1,
 
 @dataclass(frozen=True)
 class SyntheticOptions:
-    """What follows the question mark of an address."""
+    """The options in an address, after the question mark."""
 
     frames: int = 300
     seed: int = 0  # of noise, hand shake and clutter
@@ -53,7 +53,7 @@ class SyntheticOptions:
     speed: float = 1.0  # of the hand along its path
 
     def __post_init__(self) -> None:
-        """Name the choices where one is wrong."""
+        """Check the options; raises `SourceError` with the valid choices."""
         if self.sensor not in _SENSORS:
             raise SourceError(f'unknown sensor {self.sensor!r}: one of {", ".join(_SENSORS)}')
         for key, (low, high) in (
@@ -66,25 +66,25 @@ class SyntheticOptions:
 
 
 class SyntheticSource:
-    """A `Source` that renders each frame when it is asked for."""
+    """A `Source` that renders each frame when it is requested."""
 
     camera = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
 
     def __init__(
         self, scene: str, options: SyntheticOptions | None = None, name: str = ''
     ) -> None:
-        """Furnish `scene`, one of room, plane and zigzag."""
+        """Build `scene`, one of room, plane and zigzag."""
         if scene not in SCENE_NAMES:
             raise SourceError(f'unknown scene {scene!r}: one of {", ".join(SCENE_NAMES)}')
         self.options = options or SyntheticOptions()
         self.name = name or f'synthetic:{scene}'
-        self._stage = build_setup(scene, self.options.seed)
-        self._path = HandHeldPath(self._stage.motion, self.options.seed, self.options.speed)
+        self._scenario = build_scenario(scene, self.options.seed)
+        self._path = HandHeldPath(self._scenario.motion, self.options.seed, self.options.speed)
         self._depth_camera: DepthCamera = _SENSORS[self.options.sensor]()
         self._ideal = self.options.sensor == 'ideal'
         self._lag_phases = np.random.default_rng((self.options.seed, 3)).uniform(0, 2 * np.pi, 3)
         self.sensor: SensorNoise = self._depth_camera.noise
-        # True time of a depth image less its stamp: what a tracker may estimate.
+        # True time of a depth image minus its stamp, which a tracker may estimate.
         self.colour_depth_offset_ms: float = self._depth_camera.offset_ms
 
     @classmethod
@@ -96,31 +96,31 @@ class SyntheticSource:
         return cls(parts.path, _parse_options(parts.query), address)
 
     def __len__(self) -> int:
-        """Count the frames."""
+        """Return the number of frames."""
         return self.options.frames
 
     def __iter__(self) -> Iterator[RgbdFrame]:
-        """Render the frames, from the first; the same bytes each time."""
+        """Render the frames from the first; the bytes are the same each time."""
         exposure = FixedExposure() if self._ideal else AutoExposure()
         for index in range(self.options.frames):
             yield self.render(index, exposure)
 
     def imu(self) -> Iterator[ImuSample]:
-        """Cameras are all there is."""
+        """Return nothing: there is no IMU."""
         return iter(())
 
     @cached_property
     def groundtruth(self) -> Trajectory | None:
-        """Camera-to-world poses at the colour stamps."""
+        """True camera poses at the colour stamps."""
         stamps_ns = self._stamp_ns(np.arange(self.options.frames, dtype=np.int64))
         return Trajectory(stamps_ns, self._path.poses((stamps_ns - _START_NS) * 1e-9))
 
     def pose(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Return the true T_world_cam (4, 4) at any instant."""
+        """Return the true T_world_cam (4, 4) at any time."""
         return self._path.poses(np.array([(stamp_ns - _START_NS) * 1e-9]))[0]
 
     def depth_lag_ns(self, index: int) -> int:
-        """By how much a depth stamp precedes colour's: two free-running clocks drift apart."""
+        """Return by how much depth's stamp precedes colour's: it drifts, as of separate clocks."""
         low, high = self._depth_camera.lag_ms
         waves = np.sin(2 * np.pi * index / np.array([211.0, 83.0, 9.7]) + self._lag_phases)
         share = 0.5 + waves @ np.array([0.25, 0.17, 0.08])
@@ -132,7 +132,7 @@ class SyntheticSource:
     def render(
         self, index: int, exposure: AutoExposure | FixedExposure | None = None
     ) -> RgbdFrame:
-        """Make one frame; without the exposure that its predecessors left, at unit gain."""
+        """Render one frame, at unit gain unless given the exposure after the frames before it."""
         stamp_ns = self._stamp_ns(index)
         depth_stamp_ns = stamp_ns - self.depth_lag_ns(index)
         view = self._cast(stamp_ns, color=True)
@@ -147,16 +147,18 @@ class SyntheticSource:
         exposure.react(view.radiance)
         true_ns = depth_stamp_ns + round(self.colour_depth_offset_ms * 1e6)
         then = self._cast(true_ns, color=self._depth_camera.sees_texture)
-        depth_m = self._depth_camera.measure(then, self.camera, self._stage.pattern, seed, index)
+        depth_m = self._depth_camera.measure(
+            then, self.camera, self._scenario.pattern, seed, index
+        )
         return RgbdFrame(stamp_ns, depth_stamp_ns, color, depth_m)
 
-    def _cast(self, stamp_ns: int, color: bool) -> CastView:
+    def _cast(self, stamp_ns: int, color: bool) -> SceneView:
         textures, pose = build_textures(), self.pose(stamp_ns)
-        return cast(self._stage.scene, textures, self.camera, pose, color=color)
+        return cast(self._scenario.scene, textures, self.camera, pose, color=color)
 
 
 def _parse_options(query: str) -> SyntheticOptions:
-    """Read key=value pairs; every refusal names what would do."""
+    """Parse key=value pairs; raises `SourceError` with the valid keys or values."""
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:

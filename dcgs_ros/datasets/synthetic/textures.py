@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Procedural, seamless, mip-mapped textures: what the walls and things of a scene look like."""
+"""Procedural, seamless, mip-mapped textures of the scenes' surfaces."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ class Textures(NamedTuple):
     size: int  # texels, of the first level
 
 
-def _clouds(rng: np.random.Generator, cells: tuple[int, int], channels: int = 1) -> NDArray:
-    """Smooth noise (S, S, channels) of unit amplitude with `cells` (rows, columns), wrapped."""
+def _clouds(
+    rng: np.random.Generator, cells: tuple[int, int], channels: int = 1
+) -> NDArray[np.float32]:
+    """Return smooth, wrapped noise (S, S, channels) of unit amplitude; `cells` (rows, columns)."""
     coarse = rng.standard_normal((*cells, channels)).astype(np.float32)
     coarse = np.pad(coarse, ((2, 2), (2, 2), (0, 0)), mode='wrap')
     step_y, step_x = TEXTURE_SIZE // cells[0], TEXTURE_SIZE // cells[1]
@@ -36,12 +38,14 @@ def _clouds(rng: np.random.Generator, cells: tuple[int, int], channels: int = 1)
 
 
 def _ink(rng: np.random.Generator, low: float = 10, high: float = 245) -> NDArray[np.float64]:
-    """One RGB colour (3,), mostly not too gaudy."""
+    """Return a random RGB colour (3,), mostly of low saturation."""
     return np.clip(rng.uniform(low, high) + rng.uniform(20, 70) * rng.uniform(-1, 1, 3), 0, 255)
 
 
-def _shapes(image: NDArray, rng: np.random.Generator, count: int, largest: float) -> None:
-    """Draw filled rectangles and discs of random colour; what leaves one side is cut off."""
+def _shapes(
+    image: NDArray[np.floating], rng: np.random.Generator, count: int, largest: float
+) -> None:
+    """Draw filled rectangles and discs of random colour, cut off at the image's sides."""
     for _ in range(count):
         x, y = rng.integers(0, TEXTURE_SIZE, 2).tolist()
         color = _ink(rng).tolist()
@@ -54,8 +58,8 @@ def _shapes(image: NDArray, rng: np.random.Generator, count: int, largest: float
         cv2.fillConvexPoly(image, box.astype(np.int32), color, cv2.LINE_AA)
 
 
-def _letters(image: NDArray, rng: np.random.Generator, count: int, dot: int) -> None:
-    """Write short words of an unknown script, 5x7 dots a letter, of about `dot` texels each."""
+def _letters(image: NDArray[np.float32], rng: np.random.Generator, count: int, dot: int) -> None:
+    """Draw short words of random letters, 5x7 dots of about `dot` texels each."""
     for _ in range(count):
         letters, size = int(rng.integers(1, 6)), max(2, round(dot * rng.uniform(0.5, 1.6)))
         ink = rng.random((7, 6 * letters)) < 0.55
@@ -70,15 +74,15 @@ def _blank(level: float) -> NDArray[np.float32]:
     return np.full((TEXTURE_SIZE, TEXTURE_SIZE, 3), level, np.float32)
 
 
-def _poster(rng: np.random.Generator) -> NDArray:
+def _poster(rng: np.random.Generator) -> NDArray[np.floating]:
     image = np.ascontiguousarray(_blank(150) + 25 * _clouds(rng, (8, 8), 3))
     _shapes(image, rng, 170, 190)
     _letters(image, rng, 90, 6)
     return image
 
 
-def _books(rng: np.random.Generator) -> NDArray:
-    """Three rows of spines on dark shelves."""
+def _books(rng: np.random.Generator) -> NDArray[np.floating]:
+    """Rows of book spines on dark shelves."""
     image = _blank(45)
     rows = 4
     for row in range(rows):
@@ -96,7 +100,7 @@ def _books(rng: np.random.Generator) -> NDArray:
     return image
 
 
-def _wood(rng: np.random.Generator) -> NDArray:
+def _wood(rng: np.random.Generator) -> NDArray[np.floating]:
     grain = 14 * _clouds(rng, (512, 4)) + 9 * _clouds(rng, (64, 8)) + 6 * _clouds(rng, (256, 256))
     image = np.ascontiguousarray(np.array([168, 132, 96], np.float32) + grain)
     for x, y in rng.integers(0, TEXTURE_SIZE, (26, 2)).tolist():  # knots and stains
@@ -106,8 +110,8 @@ def _wood(rng: np.random.Generator) -> NDArray:
     return image
 
 
-def _carpet(rng: np.random.Generator) -> NDArray:
-    """Floor tiles of slightly different shade, speckled."""
+def _carpet(rng: np.random.Generator) -> NDArray[np.floating]:
+    """Speckled floor tiles of slightly different shades."""
     image = np.repeat(np.repeat(rng.uniform(95, 175, (8, 8, 1)), 128, 0), 128, 1)
     image = image * rng.uniform(0.92, 1.08, (1, 1, 3)) + 10 * _clouds(rng, (128, 128))
     image = np.ascontiguousarray(image, np.float32)
@@ -117,11 +121,11 @@ def _carpet(rng: np.random.Generator) -> NDArray:
     return image
 
 
-def _plaster(rng: np.random.Generator) -> NDArray:
+def _plaster(rng: np.random.Generator) -> NDArray[np.floating]:
     return _blank(200) + 1.6 * _clouds(rng, (256, 256)) + 3 * _clouds(rng, (8, 8))
 
 
-def _print(rng: np.random.Generator) -> NDArray:
+def _print(rng: np.random.Generator) -> NDArray[np.floating]:
     """Pages of text and small figures."""
     image = np.ascontiguousarray(_blank(215) + 6 * _clouds(rng, (32, 32)))
     _shapes(image, rng, 60, 130)
@@ -129,7 +133,7 @@ def _print(rng: np.random.Generator) -> NDArray:
     return image
 
 
-def _keys(rng: np.random.Generator) -> NDArray:
+def _keys(rng: np.random.Generator) -> NDArray[np.floating]:
     """Rows of keys, buttons and labels on a dark ground."""
     image = _blank(50)
     for y in range(0, TEXTURE_SIZE, 64):
@@ -140,7 +144,7 @@ def _keys(rng: np.random.Generator) -> NDArray:
     return image
 
 
-_MAKERS: dict[str, Callable[[np.random.Generator], NDArray]] = {
+_MAKERS: dict[str, Callable[[np.random.Generator], NDArray[np.floating]]] = {
     'poster': _poster,
     'books': _books,
     'wood': _wood,
@@ -154,7 +158,7 @@ TEXTURE_NAMES = tuple(_MAKERS)
 
 @lru_cache(maxsize=1)
 def build_textures() -> Textures:
-    """Draw all textures, the same in every process; about 40 MB."""
+    """Draw all textures, identical in every process; about 40 MB."""
     sizes = [TEXTURE_SIZE >> level for level in range(MIP_LEVELS)]
     ends = np.cumsum([size * size for _ in _MAKERS for size in sizes])
     starts = np.concatenate([[0], ends[:-1]]).reshape(len(_MAKERS), MIP_LEVELS)

@@ -1,25 +1,28 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The index files of TUM's RGB-D benchmark: which images there are, and which belong together."""
+"""The index files of TUM's RGB-D benchmark, which list the images and their stamps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-
 from ...io.trajectory import format_stamp_ns, parse_stamp_ns
-from ..images.association import MAX_PAIR_GAP_NS, Entry, StampPair, associate_stamps
+from ..images.association import (
+    MAX_PAIR_GAP_NS,
+    StampedPath,
+    StampPair,
+    no_overlap,
+    pair_images,
+)
 from ..source import SourceError
 
 
 def read_pairs(folder: Path) -> list[StampPair]:
-    """Read `associations.txt`, or pair what `rgb.txt` and `depth.txt` name; by colour stamp.
+    """Read `associations.txt`, or pair the images of `rgb.txt` and `depth.txt`; by colour stamp.
 
     Raises `SourceError` naming the file and line, the missing file, or the gap in time.
     """
-    # All that are there are read, needed or not: a damaged index tells of a damaged copy.
+    # All index files are read, needed or not: a damaged one is a sign of a damaged copy.
     read = {
         name: read_index(folder / name, images)
         for name, images in (('associations.txt', 2), ('rgb.txt', 1), ('depth.txt', 1))
@@ -29,7 +32,7 @@ def read_pairs(folder: Path) -> list[StampPair]:
         pairs = [StampPair(color, depth) for color, depth in read['associations.txt']]
         gaps = [abs(pair.color.stamp_ns - pair.depth.stamp_ns) for pair in pairs]
         if min(gaps) > MAX_PAIR_GAP_NS:
-            raise _no_overlap(folder, *zip(*pairs, strict=True))
+            raise no_overlap(folder, *zip(*pairs, strict=True))
         return pairs
     missing = [name for name in ('rgb.txt', 'depth.txt') if name not in read]
     if missing:
@@ -41,39 +44,12 @@ def read_pairs(folder: Path) -> list[StampPair]:
     return pair_images(folder, color, depth)
 
 
-def pair_images(folder: Path, color: Sequence[Entry], depth: Sequence[Entry]) -> list[StampPair]:
-    """Pair images in order of their stamps by these; raises `SourceError` where none are close."""
-    color_ns, depth_ns = (
-        np.array([entry.stamp_ns for entry in entries], dtype=np.int64)
-        for entries in (color, depth)
-    )
-    matched = associate_stamps(color_ns, depth_ns, MAX_PAIR_GAP_NS)
-    if not matched:
-        raise _no_overlap(folder, color, depth)
-    return [StampPair(color[i], depth[j]) for i, j in matched]
-
-
-def _no_overlap(folder: Path, color: Sequence[Entry], depth: Sequence[Entry]) -> SourceError:
-    """Say how far apart in time colour and depth are."""
-    ranges = [
-        f'{format_stamp_ns(entries[0].stamp_ns)} to {format_stamp_ns(entries[-1].stamp_ns)} s'
-        for entries in (color, depth)
-    ]
-    stamps = np.array([entry.stamp_ns for entry in depth])
-    gaps = [int(np.abs(stamps - entry.stamp_ns).min()) for entry in color]
-    return SourceError(
-        f'{folder}: none of {len(color)} colour images has a depth image within '
-        f'{MAX_PAIR_GAP_NS / 1e6:.0f} ms: colour {ranges[0]}, depth {ranges[1]}, '
-        f'gaps {min(gaps) / 1e6:.1f} to {max(gaps) / 1e6:.1f} ms'
-    )
-
-
-def read_index(path: Path, images: int) -> list[tuple[Entry, ...]]:
-    """Read an index file: `images` times `stamp path` a line, stamps increasing.
+def read_index(path: Path, images: int) -> list[tuple[StampedPath, ...]]:
+    """Read an index file: `images` times `stamp path` per line, stamps increasing.
 
     Raises `SourceError` naming the file and the line.
     """
-    rows: list[tuple[Entry, ...]] = []
+    rows: list[tuple[StampedPath, ...]] = []
     try:
         lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
     except OSError as error:
@@ -93,7 +69,7 @@ def read_index(path: Path, images: int) -> list[tuple[Entry, ...]]:
     return rows
 
 
-def _parse_row(line: str, images: int) -> tuple[Entry, ...]:
+def _parse_row(line: str, images: int) -> tuple[StampedPath, ...]:
     words = line.split()
     if len(words) != 2 * images:
         raise ValueError(
@@ -102,20 +78,20 @@ def _parse_row(line: str, images: int) -> tuple[Entry, ...]:
     for path in words[1::2]:
         check_inside(path)
     return tuple(
-        Entry(parse_stamp_ns(stamp), path)
+        StampedPath(parse_stamp_ns(stamp), path)
         for stamp, path in zip(words[::2], words[1::2], strict=True)
     )
 
 
 def check_inside(path: str) -> None:
-    """Refuse, with a `ValueError`, a path that leads out of the dataset's folder, or is none."""
+    """Check that a path stays within the dataset's folder; raises `ValueError`."""
     if '\0' in path or any('\ud800' <= character <= '\udfff' for character in path):
-        raise ValueError(f'{path!r} is no path')
+        raise ValueError(f'{path!r} is not a path')
     if PurePosixPath(path).is_absolute() or '..' in PurePosixPath(path).parts:
         raise ValueError(f'{path} leads out of the dataset')
 
 
-def _check_order(before: tuple[Entry, ...], row: tuple[Entry, ...]) -> None:
+def _check_order(before: tuple[StampedPath, ...], row: tuple[StampedPath, ...]) -> None:
     for earlier, later in zip(before, row, strict=True):
         if later.stamp_ns == earlier.stamp_ns:
             raise ValueError(f'stamp {format_stamp_ns(later.stamp_ns)} a second time')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sequences in the folder layout of TUM's RGB-D benchmark, which Bonn's dynamic one has, too."""
+"""Sequences in the folder layout of TUM's RGB-D benchmark, which Bonn's dynamic one shares."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import re
 from pathlib import Path
 
 from ...io.trajectory import read_tum
-from ..camera_files import chosen_camera
-from ..cameras import PRESETS
+from ..camera_presets import PRESETS
 from ..images.sequence import ImageSequence
+from ..parsing.intrinsics import choose_camera
 from ..source import SourceError, sequence_name
 from .index import read_pairs
 
@@ -18,7 +18,7 @@ LAYOUT = 'rgb.txt and depth.txt, or associations.txt, and the images they name (
 
 
 def is_tum(path: Path) -> bool:
-    """Tell whether the path is such a folder, or what is left of one."""
+    """Return whether the path is such a folder, complete or not."""
     return any((path / name).is_file() for name in ('rgb.txt', 'depth.txt', 'associations.txt'))
 
 
@@ -27,11 +27,11 @@ def open_tum(
 ) -> ImageSequence:
     """Open a folder with `rgb.txt` and `depth.txt`, or `associations.txt`.
 
-    `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels (then with TUM's 5000 per
-    metre and structured-light noise); None takes it from the folder's name. `groundtruth` defaults
-    to the folder's `groundtruth.txt` where there is one.
+    `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels (with TUM's 5000 per metre
+    and structured-light noise); None infers a preset from the folder's name. `groundtruth` is the
+    folder's `groundtruth.txt` by default, if there is one.
 
-    Everything but the images is read and checked here: raises `SourceError` (or
+    Everything except the images is read and checked here. Raises `SourceError` (or
     `TrajectoryFileError` for the ground truth) naming the file and the line.
     """
     folder = Path(path)
@@ -39,12 +39,12 @@ def open_tum(
         raise SourceError(f'{path}: no such folder')
     pairs = read_pairs(folder)
     text = camera or _infer_camera(sequence_name(folder))
-    preset = chosen_camera(text, PRESETS.get(text, PRESETS['fr3']), folder, pairs)
+    preset = choose_camera(text, PRESETS.get(text, PRESETS['fr3']), folder, pairs)
     default = folder / 'groundtruth.txt'
     if groundtruth is None and default.exists():
         groundtruth = default
     truth = None if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.of(folder, pairs, preset, truth)
+    return ImageSequence.from_preset(folder, pairs, preset, truth)
 
 
 def _infer_camera(name: str) -> str:

@@ -10,14 +10,10 @@ from typing import Any, Literal, Protocol
 
 from ...core.frame import RgbdFrame
 from ...datasets.bag.camera import find_camera
-from ...datasets.bag.messages import (
-    DamagedError,
-    RawMessage,
-    is_bag,
-    raw_messages,
-    read_header,
-    with_stamp,
-)
+from ...datasets.bag.messages import RawMessage, read_header, with_stamp
+from ...datasets.bag.recording import raw_messages
+from ...datasets.bag.recovery.losses import DamagedError
+from ...datasets.bag.storage.files import is_bag
 from ...datasets.bag.topics import CameraTopics, split_topics
 from ...datasets.open import open_source
 from ...datasets.source import BadFrame, Source, SourceError

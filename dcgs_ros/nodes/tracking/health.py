@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.tracking.tracker import TrackingState, TrackResult
+from ...core.tracking.result import TrackingState, TrackResult
 from ..health import Level, Verdict
 
 _SILENT_S = 2.0  # without images: the camera is gone

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from ...core import se3
 from ...core.config.nodes import TrackerNodeSettings
-from ...core.tracking.tracker import TrackResult
+from ...core.tracking.result import TrackResult
 from ..messages.images import header
 from ..messages.odometry import CameraToBase, odometry_message
 from ..messages.poses import path, pose_stamped, transform_stamped

@@ -19,8 +19,9 @@ from ...core.config.stages import Config
 from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
 from ...core.keyframe import MapUpdate, PosedFrame
+from ...core.tracking.result import TrackResult
 from ...core.tracking.selector import KeyframeSelector
-from ...core.tracking.tracker import Tracker, TrackResult
+from ...core.tracking.tracker import Tracker
 from ..messages.ids import EPOCHS
 from ..messages.packet import KeyframePacket
 from .health import numbers

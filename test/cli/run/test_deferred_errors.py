@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Parts run though others failed, and the first failure is not forgotten."""
+"""Later parts run after an error, and the first error is raised at the end."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_nothing_failed() -> None:
     with part:
         pass
     assert not part.failed
-    part.settle()
+    part.raise_first()
 
 
 @pytest.mark.parametrize('first', [ValueError('first'), KeyboardInterrupt('first')])
@@ -30,4 +30,4 @@ def test_the_first_failure_is_raised_after_the_last_part(first: BaseException) -
     assert part.failed
     assert len(done) == 2
     with pytest.raises(type(first), match='first'):
-        part.settle()
+        part.raise_first()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Frames come at the pace of their stamps, and the newest of those that came wins."""
+"""Frames arrive at the pace of their stamps, and only the newest that is due is yielded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from dcgs_ros.cli.run.pipeline import LateFrame, as_they_come, paced
+from dcgs_ros.cli.run.pacing import DroppedFrame, at_recorded_pace, on_demand
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.source import BadFrame
 
@@ -28,25 +28,25 @@ def frame(index: int) -> RgbdFrame:
     )
 
 
-def index_of(item: RgbdFrame | LateFrame) -> int:
+def index_of(item: RgbdFrame | DroppedFrame) -> int:
     return (item.stamp_ns - START_NS) // INTERVAL_NS
 
 
 def test_no_frame_comes_before_its_time() -> None:
     times_s = []
-    with closing(paced(frame(k) for k in range(6))) as items:
+    with closing(at_recorded_pace(frame(k) for k in range(6))) as items:
         for item in items:
             times_s.append(time.monotonic())
             assert isinstance(item, RgbdFrame)
     due_s = times_s[0] + 1e-9 * INTERVAL_NS * np.arange(6)
-    # The first one is seen a little after it came.
+    # The first frame is seen a little after it is due.
     assert np.all(np.array(times_s) > due_s - 0.01)
     assert len(times_s) == 6
 
 
-def test_who_is_slow_gets_the_newest_and_is_told_of_the_others() -> None:
+def test_a_slow_consumer_gets_the_newest_and_the_others_as_dropped() -> None:
     kinds = {}
-    with closing(paced(frame(k) for k in range(10))) as items:
+    with closing(at_recorded_pace(frame(k) for k in range(10))) as items:
         for item in items:
             assert not isinstance(item, BadFrame)
             kinds[index_of(item)] = type(item)
@@ -54,8 +54,8 @@ def test_who_is_slow_gets_the_newest_and_is_told_of_the_others() -> None:
                 time.sleep(BUSY_S)
     assert list(kinds) == list(range(10))  # none is lost, and they keep their order
     assert kinds[2] is RgbdFrame
-    assert kinds[3] is LateFrame
-    assert kinds[4] is LateFrame
+    assert kinds[3] is DroppedFrame
+    assert kinds[4] is DroppedFrame
     assert RgbdFrame in (kinds[5], kinds[6])
     assert kinds[9] is RgbdFrame
 
@@ -66,34 +66,34 @@ def test_a_source_that_is_late_drops_none() -> None:
             time.sleep(2e-9 * INTERVAL_NS)
             yield frame(k)
 
-    with closing(paced(slowly())) as items:
+    with closing(at_recorded_pace(slowly())) as items:
         assert [type(item) for item in items] == [RgbdFrame] * 4
 
 
 def test_bad_frames_pass_in_their_place() -> None:
     bad = BadFrame('2.png', 'is cut off')
     given: list[RgbdFrame | BadFrame] = [bad, frame(0), bad, frame(1)]
-    with closing(paced(given)) as items:
+    with closing(at_recorded_pace(given)) as items:
         assert [isinstance(item, BadFrame) for item in items] == [True, False, True, False]
 
 
-def test_a_failure_comes_after_the_frames_before_it() -> None:
+def test_an_error_is_raised_after_the_frames_before_it() -> None:
     def failing() -> Iterator[RgbdFrame]:
         yield frame(0)
         raise OSError('unplugged')
 
     seen = []
-    with pytest.raises(OSError, match='unplugged'), closing(paced(failing())) as items:
+    with pytest.raises(OSError, match='unplugged'), closing(at_recorded_pace(failing())) as items:
         for item in items:
             seen.append(item)
     assert len(seen) == 1
 
 
-def test_left_early_it_waits_for_no_frame_and_leaves_no_thread() -> None:
+def test_closing_early_waits_for_no_frame_and_ends_the_thread() -> None:
     before = set(threading.enumerate())
     start = time.monotonic()
     frames = iter([frame(0), frame(10_000)])  # 200 s later
-    with closing(paced(frames)) as items:
+    with closing(at_recorded_pace(frames)) as items:
         next(items)
     assert time.monotonic() - start < 2.0
     assert set(threading.enumerate()) <= before
@@ -101,4 +101,4 @@ def test_left_early_it_waits_for_no_frame_and_leaves_no_thread() -> None:
 
 def test_without_pacing_every_frame_comes_at_once() -> None:
     frames = [frame(0), frame(10_000)]
-    assert list(as_they_come(iter(frames))) == frames
+    assert list(on_demand(iter(frames))) == frames

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which renderer and how many threads the mapper gets."""
+"""The renderer and the number of threads that the mapper gets."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from dcgs_ros.core.render.renderer import RenderError
 def test_lockstep_takes_all_cores_and_online_leaves_one(monkeypatch: pytest.MonkeyPatch) -> None:
     for cores, lockstep, online in ((8, 8, 7), (2, 2, 1), (1, 1, 1)):
         monkeypatch.setattr(pipeline, 'cores', lambda cores=cores: cores)
-        assert pipeline.threads_of_mapper(Config(), online=False) == lockstep
-        assert pipeline.threads_of_mapper(Config(), online=True) == online
-    assert pipeline.threads_of_mapper(Config(threads=3), online=True) == 3
+        assert pipeline.mapper_threads(Config(), online=False) == lockstep
+        assert pipeline.mapper_threads(Config(), online=True) == online
+    assert pipeline.mapper_threads(Config(threads=3), online=True) == 3
 
 
 class Gpu:
-    """Stands in for the CUDA renderer."""
+    """Replaces the CUDA renderer."""
 
 
 def no_gpu() -> None:

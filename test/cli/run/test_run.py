@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A run writes what it did, the same each time, and loses nothing however it ends."""
+"""A run writes its results, the same each time, even if it fails or is interrupted."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from running import TRACKS, Run, run_into  # type: ignore[import-not-found]
 from dcgs_ros import __version__
 from dcgs_ros.cli import run
 from dcgs_ros.cli.main import main
-from dcgs_ros.cli.run.frames_csv import COLUMNS
+from dcgs_ros.cli.run.outputs import COLUMNS
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
@@ -37,7 +37,7 @@ from dcgs_ros.io.trajectory import format_stamp_ns, read_tum, write_tum
 Writer = Callable[..., Path]
 
 ROOT = Path(__file__).resolve().parents[3]
-FRAMES = 32  # a little more than the second that RPE spans
+FRAMES = 32  # a little more than a second, the interval of RPE
 ROOM = f'synthetic:room?frames={FRAMES}'
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images of `tum_folder`
 CONTRACT = {
@@ -225,7 +225,7 @@ def test_truth_of_another_time_leaves_the_run_without_ate(
 
 
 class MadeUp:
-    """Frames of a wall; other things where a test wants them."""
+    """Frames of a wall, with other items or actions at given indices."""
 
     name = 'made up'
     camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -249,7 +249,7 @@ class MadeUp:
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Run]:
-    """Run `MadeUp` frames."""
+    """Return a function that runs `MadeUp` frames."""
 
     def run_made_up(count: int, at: dict[int, Callable[[], BadFrame | None]]) -> Run:
         monkeypatch.setattr(run, 'open_source', lambda *_: MadeUp(count, at))

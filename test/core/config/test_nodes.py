@@ -13,7 +13,7 @@ import pytest
 from dcgs_ros.core.config.nodes import MapperSettings, ReplaySettings, TrackerSettings
 from dcgs_ros.core.config.schema import ConfigError, flatten, override, settings
 from dcgs_ros.core.config.stages import Config
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.io.config_file import apply_file, write_config
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -22,7 +22,7 @@ UNITS = {
     '_m': 'metre',
     '_per_m': '1/metre',
     '_rad': 'radian',
-    '_rad_s': 'radians a second',
+    '_rad_s': 'radians per second',
     '_px': 'pixel',
     '_s': 'second',
     '_ms': 'millisecond',

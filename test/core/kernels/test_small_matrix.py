@@ -44,7 +44,7 @@ def with_spectrum(spectrum: tuple[float, float, float], seed: int) -> NDArray[np
     return 0.5 * (matrix + matrix.T)
 
 
-def full(scalars: NDArray) -> NDArray[np.float64]:
+def full(scalars: NDArray[np.floating]) -> NDArray[np.float64]:
     matrix = np.zeros((3, 3))
     matrix[UPPER] = scalars
     return matrix + np.triu(matrix, 1).T

@@ -34,7 +34,7 @@ def lattice(count: int, seed: int) -> NDArray[np.float32]:
     return (np.random.default_rng(seed).integers(-12, 12, (count, 3)) / 64).astype(np.float32)
 
 
-def slots_of(points: NDArray) -> NDArray[np.int32]:
+def slots_of(points: NDArray[np.floating]) -> NDArray[np.int32]:
     return np.arange(len(points), dtype=np.int32)
 
 

@@ -33,7 +33,7 @@ def test_every_piece_is_done_once(threads: int, pieces: int) -> None:
 
 
 def test_arguments_are_handed_on_and_results_come_back_through_them() -> None:
-    def kernel(piece: int, pieces: int, out: NDArray, factor: int) -> None:
+    def kernel(piece: int, pieces: int, out: NDArray[np.floating], factor: int) -> None:
         out[piece] = factor * piece
 
     out = np.zeros(PIECES)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.mapping.corrections import Corrections
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 
 EXACT = 1e-12
 FLOAT32 = 1e-6
@@ -47,7 +47,9 @@ def corrections() -> Corrections:
     return Corrections(STAMPS_NS, TRACKED, REFINED, EXPOSURES)
 
 
-def assert_exposure(found: Exposure, gain: NDArray, offset: NDArray) -> None:
+def assert_exposure(
+    found: Exposure, gain: NDArray[np.floating], offset: NDArray[np.floating]
+) -> None:
     np.testing.assert_allclose(found.gain, gain, atol=FLOAT32)
     np.testing.assert_allclose(found.offset, offset, atol=FLOAT32)
     assert found.gain.dtype == found.offset.dtype == np.float32

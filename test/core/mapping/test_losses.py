@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure, ImageLoss, LossError, Target
+from dcgs_ros.core.mapping.exposure import Exposure, ExposureError
+from dcgs_ros.core.mapping.losses import ImageLoss, LossError, Target
 
 torch.set_num_threads(1)
 
@@ -118,7 +119,7 @@ def reference(
     return loss.item(), planes.grad.numpy()
 
 
-def relative(found: NDArray, expected: NDArray) -> float:
+def relative(found: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
     """Relative L2 error."""
     return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
 
@@ -272,5 +273,5 @@ def test_images_that_do_not_fit_are_refused() -> None:
         replace(case.target, valid=case.target.valid.astype(np.uint8))
     with pytest.raises(LossError, match='color'):
         replace(case.target, color=case.target.color[:, :-1])
-    with pytest.raises(LossError, match=r'gain is \(1,\)'):
+    with pytest.raises(ExposureError, match=r'gain is \(1,\)'):
         Exposure(np.ones(1, np.float32), np.zeros(3, np.float32))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper on a textured plane: what it learns, what it drops, what it tells the tracker."""
+"""The mapper on textured walls: what it learns, what it removes, what it reports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.keyframe import Keyframe
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.render.cpu import CpuRenderer
 
@@ -36,7 +36,7 @@ FIRST_OPACITY_ROW, SCALE_ROW = 10, 3
 NO_IDS = np.empty(0, np.int64)
 
 
-def texture(points: NDArray) -> NDArray[np.float64]:
+def texture(points: NDArray[np.floating]) -> NDArray[np.float64]:
     """Colours (..., 3) of the world, none of them near black or white."""
     x, y, z = np.moveaxis(points, -1, 0)
     waves = [np.sin(18 * x) * np.cos(14 * y), np.cos(16 * x - 10 * y + z), np.sin(12 * y + 8 * x)]
@@ -44,8 +44,8 @@ def texture(points: NDArray) -> NDArray[np.float64]:
 
 
 def view_from(
-    T_world_cam: NDArray, camera: PinholeCamera = CAMERA
-) -> tuple[NDArray, NDArray, NDArray]:
+    T_world_cam: NDArray[np.float64], camera: PinholeCamera = CAMERA
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
     """Colour, depth and points (H, W, .) of two walls that meet, 1.2 m to 1.8 m away."""
     rays = np.ones((camera.height, camera.width, 3))
     rays[..., :2] = camera.undistortion_map
@@ -57,7 +57,7 @@ def view_from(
 
 
 def frame_from(
-    T_world_cam: NDArray, index: int = 0, camera: PinholeCamera = CAMERA,
+    T_world_cam: NDArray[np.float64], index: int = 0, camera: PinholeCamera = CAMERA,
     gain: float = 1.0, offset: float = 0.0,
 ) -> RgbdFrame:  # fmt: skip
     color, depth_m, _ = view_from(T_world_cam, camera)
@@ -66,7 +66,7 @@ def frame_from(
     return RgbdFrame(stamp_ns, stamp_ns, levels, depth_m.astype(np.float32))
 
 
-def normals_of(points: NDArray) -> NDArray[np.float64]:
+def normals_of(points: NDArray[np.floating]) -> NDArray[np.float64]:
     """Of the wall that each point is on, towards the origin."""
     walls = np.array([[0.3, 0.1, 1.0], [-0.4, 0.0, 1.0]])
     chosen = walls[np.abs(points @ walls.T - 1.5).argmin(axis=1)]
@@ -74,8 +74,8 @@ def normals_of(points: NDArray) -> NDArray[np.float64]:
 
 
 def keyframe_from(
-    T_world_cam: NDArray, index: int = 0, first_id: int | None = 0,
-    T_tracked: NDArray | None = None, **look: Any,
+    T_world_cam: NDArray[np.float64], index: int = 0, first_id: int | None = 0,
+    T_tracked: NDArray[np.float64] | None = None, **look: Any,
 ) -> Keyframe:  # fmt: skip
     """Keyframe as tracked, its Gaussians on a grid; None spawns none."""
     tracked = T_world_cam if T_tracked is None else T_tracked
@@ -118,7 +118,7 @@ def filled(count: int = 3, look: Sequence[dict[str, Any]] = (), **settings: Any)
     return mapper
 
 
-def psnr(mapper: Mapper, T_world_cam: NDArray, truth: NDArray) -> float:
+def psnr(mapper: Mapper, T_world_cam: NDArray[np.float64], truth: NDArray[np.floating]) -> float:
     error = np.moveaxis(mapper.render(T_world_cam).color, 0, -1) - truth
     return float(-10 * np.log10(np.mean(error**2)))
 
@@ -188,7 +188,7 @@ def test_through_a_lens_the_map_is_the_same_world() -> None:
     assert -10 * np.log10(np.mean((shown - truth)[inner] ** 2)) > GOOD_DB
 
 
-def displacement_px(T_world_cam: NDArray, T_true: NDArray) -> float:
+def displacement_px(T_world_cam: NDArray[np.float64], T_true: NDArray[np.float64]) -> float:
     """How far the image is from where it belongs: turns and shifts make up for each other."""
     points = view_from(T_true)[2].reshape(-1, 3)
     seen = [
@@ -254,7 +254,7 @@ def test_what_views_show_does_not_change_when_exposures_are_centred() -> None:
         gain, offset = rng.uniform(0.8, 1.3, 3), rng.normal(0, 0.1, 3)
         view.exposure = Exposure(gain.astype(np.float32), offset.astype(np.float32))
 
-    def shown() -> list[NDArray]:
+    def shown() -> list[NDArray[np.floating]]:
         return [
             v.exposure.gain[:, None] * r.color[:, r.transmittance < 1e-3]
             + v.exposure.offset[:, None]
@@ -342,7 +342,7 @@ def test_pruning_happens_by_itself_at_its_interval() -> None:
 
 
 def test_a_poisoned_gaussian_spoils_nothing_else() -> None:
-    """Neither another's parameters nor a pose, however long nobody prunes."""
+    """Neither another's parameters nor a pose, even if it is never pruned."""
     mapper = filled(2, mapping__prune_interval=100_000)
     clean = filled(2, mapping__prune_interval=100_000)
     for k, garbage in enumerate([np.nan, np.inf, -np.inf] * 5):
@@ -490,7 +490,7 @@ def test_gaussians_that_are_here_already_stay_with_the_keyframe_they_came_with()
         name: np.concatenate([getattr(there, name), getattr(keyframe, name)])[order]
         for name in ('ids', 'means', 'normals')
     }
-    both['means'][np.isin(both['ids'], there.ids)] += 1.0  # wherever they are now said to be
+    both['means'][np.isin(both['ids'], there.ids)] += 1.0  # their new position must be ignored
     mapper.insert(replace(keyframe, **both))
     table = mapper.table
     ids = table.ids.tolist()
@@ -552,13 +552,13 @@ def test_nothing_is_told_of_a_poisoned_gaussian_before_it_is_pruned(row: int) ->
 
 
 def test_means_leave_where_they_were_measured_by_a_share_of_the_noise_at_most(run: Run) -> None:
-    """As the host sees them: whoever is touched is brought back to within its reach."""
+    """From where the host saw them: a mean that is touched is clamped to its reach."""
     mapper = run.mapper
     before = mapper.table.visits.copy()
     for _ in range(2 * len(mapper.views)):
         mapper.step(rate=0.0, replay=True)
     table, config = mapper.table, mapper.config
-    assert len(table.visits) == len(before)  # nobody was pruned
+    assert len(table.visits) == len(before)  # none was pruned
     own = (table.ids >= 0) & (table.visits > before)
     assert own.mean() > 0.5
     moved = np.linalg.norm((table.splats.means - table.anchors)[:, own], axis=0)
@@ -669,7 +669,7 @@ def test_grey_images_give_a_grey_map() -> None:
 
 
 def test_depth_of_another_instant_is_mapped_where_it_belongs() -> None:
-    """The camera moves between depth and colour; the map's own Gaussians are none the worse."""
+    """The camera moves between depth and colour; the mapper's Gaussians are on the surface."""
     T_cam_cam_at_depth = se3.exp(np.array([0.03, 0.02, -0.02, 0.01, -0.02, 0.01]))
     then = frame_from(T_cam_cam_at_depth)
     now = frame_from(np.eye(4))

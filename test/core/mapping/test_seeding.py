@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dcgs_ros.core import se3
 from dcgs_ros.core.config.stages import MappingConfig
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
+from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.seeding import Surface, discs, lacking
 from dcgs_ros.core.mapping.splats import SH_C0, Splats
-from dcgs_ros.core.mapping.views import Images
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import Rendering, View
 
@@ -38,14 +38,16 @@ NOTHING = Surface(
 EVERYWHERE = np.ones((HEIGHT, WIDTH), np.bool_)
 
 
-def images(depth_m: NDArray | float, color: NDArray | int = 128) -> Images:
+def images(depth_m: NDArray[np.floating] | float, color: NDArray[np.uint8] | int = 128) -> Images:
     depth = np.broadcast_to(np.asarray(depth_m), (HEIGHT, WIDTH))
     full = np.empty((HEIGHT, WIDTH, 3), np.uint8)
     full[...] = color
     return Images(full, np.round(depth / UNIT_M).astype(np.uint16))
 
 
-def rendering(transmittance: NDArray | float, depth_m: NDArray | float = 0.0) -> Rendering:
+def rendering(
+    transmittance: NDArray[np.floating] | float, depth_m: NDArray[np.floating] | float = 0.0
+) -> Rendering:
     """What the map shows at half the resolution, its depth where it is opaque."""
     planes = np.zeros((5, HEIGHT // 2, WIDTH // 2), np.float32)
     planes[4] = transmittance
@@ -54,35 +56,42 @@ def rendering(transmittance: NDArray | float, depth_m: NDArray | float = 0.0) ->
 
 
 def lacks(
-    seen: Images, shown: Rendering, valid: NDArray = EVERYWHERE, spawned: Surface = NOTHING,
-    config: MappingConfig = CONFIG, view: View = VIEW,
+    seen: Images, shown: Rendering, valid: NDArray[np.bool_] = EVERYWHERE,
+    spawned: Surface = NOTHING, config: MappingConfig = CONFIG, view: View = VIEW,
 ) -> Surface:  # fmt: skip
     return lacking(seen, shown, 2, valid, spawned, view, config)
 
 
-def in_camera(points: NDArray, view: View = VIEW) -> NDArray[np.float64]:
+def in_camera(points: NDArray[np.floating], view: View = VIEW) -> NDArray[np.float64]:
     T = np.linalg.inv(view.T_world_cam)
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
-def pixels(points: NDArray, view: View = VIEW) -> NDArray[np.float64]:
+def pixels(points: NDArray[np.floating], view: View = VIEW) -> NDArray[np.float64]:
     p = in_camera(points, view)
     return p[:, :2] / p[:, 2:] * (view.fx, view.fy) + (view.cx, view.cy)
 
 
-def at(u: NDArray, v: NDArray, z: NDArray | float, view: View = VIEW) -> NDArray[np.float32]:
+def at(
+    u: NDArray[np.floating],
+    v: NDArray[np.floating],
+    z: NDArray[np.floating] | float,
+    view: View = VIEW,
+) -> NDArray[np.float32]:
     """World points of pixels at depths."""
     p = np.stack([(u - view.cx) / view.fx * z, (v - view.cy) / view.fy * z, z + 0.0 * u], axis=1)
     return (p @ view.T_world_cam[:3, :3].T + view.T_world_cam[:3, 3]).astype(np.float32)
 
 
-def surface(points: NDArray, normals: NDArray, measured: bool = True) -> Surface:
+def surface(
+    points: NDArray[np.floating], normals: NDArray[np.floating], measured: bool = True
+) -> Surface:
     return Surface(
         points.astype(np.float32), normals.astype(np.float32), np.full(len(points), measured)
     )
 
 
-def grid() -> tuple[NDArray, NDArray]:
+def grid() -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     v, u = np.mgrid[STRIDE // 2 : HEIGHT : STRIDE, STRIDE // 2 : WIDTH : STRIDE]
     return u.ravel(), v.ravel()
 
@@ -92,7 +101,7 @@ def third_axes(splats: Splats) -> NDArray[np.float64]:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
-def plane(view: View = VIEW) -> tuple[NDArray, NDArray, float]:
+def plane(view: View = VIEW) -> tuple[NDArray[np.floating], NDArray[np.floating], float]:
     """Depth (H, W) of a slanted plane, its normal in the world, towards us, and n . X there."""
     normal = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
     v, u = np.mgrid[: view.height, : view.width]
@@ -110,7 +119,7 @@ normals = directions.filter(lambda d: bool(np.linalg.norm(d) > 1e-3)).map(
 
 @settings(max_examples=200, deadline=None)
 @given(normals)
-def test_the_third_axis_is_the_normal(normal: NDArray) -> None:
+def test_the_third_axis_is_the_normal(normal: NDArray[np.floating]) -> None:
     points = at(np.array([20.0]), np.array([10.0]), 1.0)
     made = discs(surface(points, normal[None]), 5, images(1.0), VIEW, NONE, CONFIG)
     limit = 1e-3 if normal[2] < -0.99 else 1e-5  # 1 + z loses digits near half a turn

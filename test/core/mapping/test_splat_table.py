@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from torch.optim.adam import adam
 
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
+from dcgs_ros.core.mapping.exposure import Exposure
 from dcgs_ros.core.mapping.splat_table import SplatTable
 from dcgs_ros.core.mapping.splats import PLANES, SH_C0, Splats
 from dcgs_ros.core.render.cpu import CpuRenderer
@@ -38,7 +39,11 @@ def splats(seed: int, count: int) -> Splats:
 
 
 def append(
-    table: SplatTable, new: Splats, ids: NDArray, host: int = 0, reach_m: float = np.inf
+    table: SplatTable,
+    new: Splats,
+    ids: NDArray[np.int64],
+    host: int = 0,
+    reach_m: float = np.inf,
 ) -> None:
     """Append Gaussians whose tracked means are the opposite of their means."""
     table.append(new, ids, host, -new.means, np.full(len(new), reach_m, np.float32))
@@ -51,7 +56,10 @@ def table_of(count: int, seed: int = 0, reach_m: float = np.inf) -> SplatTable:
 
 
 def gradients(
-    table: SplatTable, planes: NDArray, touched: NDArray, weights: NDArray | None = None
+    table: SplatTable,
+    planes: NDArray[np.floating],
+    touched: NDArray[np.bool_],
+    weights: NDArray[np.floating] | None = None,
 ) -> Gradients:
     """Fill up to the table's columns, with garbage where nothing is touched."""
     columns = table.planes.shape[1]
@@ -63,8 +71,8 @@ def gradients(
     return Gradients(filled, all_touched, np.zeros(6), all_weights)
 
 
-def snapshot(table: SplatTable) -> dict[str, NDArray]:
-    """Copy all that a table tells of each Gaussian, by column."""
+def snapshot(table: SplatTable) -> dict[str, NDArray[Any]]:
+    """Return copies of a table's columns."""
     return {
         'planes': table.splats.planes.copy(),
         'measured': table.measured.copy(),
@@ -76,7 +84,7 @@ def snapshot(table: SplatTable) -> dict[str, NDArray]:
     }
 
 
-def assert_same(found: dict[str, NDArray], expected: dict[str, NDArray]) -> None:
+def assert_same(found: dict[str, NDArray[Any]], expected: dict[str, NDArray[Any]]) -> None:
     for name, column in expected.items():
         np.testing.assert_array_equal(found[name], column, err_msg=name)
 
@@ -154,7 +162,9 @@ def test_padding_is_never_seen_and_never_moves() -> None:
         np.testing.assert_array_equal(renderer.render(table.planes, view).planes, alone)
 
 
-def torch_adam(start: NDArray, history: list[NDArray]) -> NDArray[np.float64]:
+def torch_adam(
+    start: NDArray[np.floating], history: list[NDArray[np.floating]]
+) -> NDArray[np.float64]:
     """Run torch's, each plane at its rate, in float64."""
     planes = torch.tensor(start, dtype=torch.float64)
     first, second = torch.zeros_like(planes), torch.zeros_like(planes)
@@ -170,7 +180,9 @@ def torch_adam(start: NDArray, history: list[NDArray]) -> NDArray[np.float64]:
     return np.asarray(planes.numpy())
 
 
-def assert_moved_alike(found: NDArray, expected: NDArray, steps: int) -> None:
+def assert_moved_alike(
+    found: NDArray[np.floating], expected: NDArray[np.floating], steps: int
+) -> None:
     """To within a share of the way that many steps can go, and the parameters' own rounding."""
     way = steps * RATES[:, None].astype(np.float64)
     error = np.abs(found - expected)
@@ -194,11 +206,11 @@ def test_a_gaussian_that_every_step_touches_moves_as_with_torch() -> None:
 
 
 def test_a_gaussian_counts_its_own_visits_only() -> None:
-    """Whoever is touched moves as if the steps in between were none, moments and all."""
+    """A Gaussian moves as if the steps in which it was not touched had not been taken."""
     count, steps = 37, 40
     table, rng = table_of(count, seed=7), np.random.default_rng(8)
     start = table.splats.planes.copy()
-    history: list[list[NDArray]] = [[] for _ in range(count)]
+    history: list[list[NDArray[np.floating]]] = [[] for _ in range(count)]
     for _ in range(steps):
         gradient = rng.normal(0.3, 1.0, (len(PLANES), count)).astype(np.float32)
         touched = rng.random(count) < np.linspace(0, 1, count)

@@ -63,7 +63,7 @@ def test_the_constant_is_that_of_the_first_spherical_harmonic() -> None:
     ],
     ids=lambda planes: f'{planes.dtype}{planes.shape}',
 )
-def test_other_arrays_are_refused_with_what_they_are(planes: NDArray) -> None:
+def test_other_arrays_are_refused_with_what_they_are(planes: NDArray[np.floating]) -> None:
     told = (
         str(planes.dtype) if planes.shape == (14, 4) else r'\(' + ', '.join(map(str, planes.shape))
     )

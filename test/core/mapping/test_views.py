@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
-from dcgs_ros.core.mapping.losses import Exposure
-from dcgs_ros.core.mapping.views import Images, KeyframeView, Rectifier
+from dcgs_ros.core.mapping.exposure import Exposure
+from dcgs_ros.core.mapping.rectification import Images, Rectifier
+from dcgs_ros.core.mapping.views import KeyframeView
 
 UNIT_M = 5e-4
 HALF_UNIT_M = 0.5 * UNIT_M + 1e-6
@@ -38,7 +40,7 @@ def distorted(name: str) -> PinholeCamera:
     return PinholeCamera(p.width, p.height, p.fx, p.fy, p.cx, p.cy, DISTORTIONS[name])
 
 
-def shade(rays: NDArray) -> NDArray[np.float64]:
+def shade(rays: NDArray[np.floating]) -> NDArray[np.float64]:
     """Colours (..., 3) from 0 to 255 of what is seen along x/z, y/z: smooth."""
     x, y = rays[..., 0], rays[..., 1]
     waves = [np.sin(6 * x + y), np.cos(5 * y - 2 * x), np.sin(4 * x * y + 3 * y)]
@@ -48,7 +50,9 @@ def shade(rays: NDArray) -> NDArray[np.float64]:
 PLANE_N, PLANE_D = np.array([0.25, -0.15, 1.0]), 1.4  # n . X = d in the first camera
 
 
-def plane_depth(rays: NDArray, T_plane_cam: NDArray | None = None) -> NDArray[np.float64]:
+def plane_depth(
+    rays: NDArray[np.floating], T_plane_cam: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
     """Depth of the plane along x/z, y/z from a camera elsewhere."""
     T = np.eye(4) if T_plane_cam is None else T_plane_cam
     n, d = PLANE_N @ T[:3, :3], PLANE_D - PLANE_N @ T[:3, 3]
@@ -60,7 +64,7 @@ def pinhole_rays() -> NDArray[np.float64]:
     return np.stack([(u - PINHOLE.cx) / PINHOLE.fx, (v - PINHOLE.cy) / PINHOLE.fy], axis=-1)
 
 
-def frame_of(camera: PinholeCamera, depth_m: NDArray | None = None) -> RgbdFrame:
+def frame_of(camera: PinholeCamera, depth_m: NDArray[np.floating] | None = None) -> RgbdFrame:
     rays = camera.undistortion_map.astype(np.float64)
     color = np.round(shade(rays)).astype(np.uint8)
     if depth_m is None:
@@ -77,12 +81,12 @@ def random_images(seed: int, width: int = 64, height: int = 48) -> Images:
 
 
 def view_of(
-    images: Images, T: NDArray | None = None, last: KeyframeView | None = None
+    images: Images, T: NDArray[np.float64] | None = None, last: KeyframeView | None = None
 ) -> KeyframeView:
     return KeyframeView.of(3, 77, np.eye(4) if T is None else T, images, last)
 
 
-def slope_m(depth_m: NDArray) -> NDArray[np.float64]:
+def slope_m(depth_m: NDArray[np.floating]) -> NDArray[np.float64]:
     """By how much depth changes from a pixel to the next, in both directions together."""
     return np.asarray(np.abs(np.gradient(depth_m)).sum(axis=0))
 
@@ -98,7 +102,7 @@ def test_without_distortion_images_stay_as_they_are() -> None:
 
 @pytest.mark.parametrize('name', DISTORTIONS)
 def test_a_distorted_image_becomes_what_a_pinhole_sees(name: str) -> None:
-    """Along each ray the same colour and depth, wherever the lens has put them."""
+    """The same colour and depth along each ray, whatever the distortion."""
     camera = distorted(name)
     rectify, rays = Rectifier(camera), pinhole_rays()
     images = rectify(frame_of(camera))
@@ -151,7 +155,7 @@ def test_what_moves_before_something_else_hides_it() -> None:
     expected = np.zeros_like(near)
     expected[20:50, 30 + shift_px : 50 + shift_px] = True
     np.testing.assert_array_equal(near, expected)
-    assert not images.depth[30, 35:45].any()  # nobody saw what came out behind it
+    assert not images.depth[30, 35:45].any()  # what it uncovers was not measured
 
 
 NEARER = np.eye(4)  # pixels move apart by a third
@@ -180,7 +184,9 @@ def test_holes_in_the_depth_stay_holes() -> None:
 
 @pytest.mark.parametrize('given', [None, np.eye(4)])
 @pytest.mark.parametrize('useless', [0.0, np.nan, np.inf, -np.inf, -1.0, 32.8, 1e9, 1e-5])
-def test_depth_that_is_none_or_too_far_becomes_none(useless: float, given: NDArray | None) -> None:
+def test_depth_that_is_none_or_too_far_becomes_none(
+    useless: float, given: NDArray[np.float64] | None
+) -> None:
     depth_m = np.full((PINHOLE.height, PINHOLE.width), 2.0, np.float32)
     depth_m[20:30, 40:60] = useless
     images = Rectifier(PINHOLE)(frame_of(PINHOLE, depth_m), given)
@@ -243,7 +249,7 @@ def test_a_target_has_mean_colors_and_is_valid_where_all_its_pixels_are(
     target = view_of(images).target(valid, shrink, WORKERS)
     h, w = height // shrink, width // shrink
 
-    def cells(array: NDArray) -> NDArray:
+    def cells(array: NDArray[Any]) -> NDArray[Any]:
         """(h, w, shrink^2, ...) the pixels of each."""
         cut = array[: h * shrink, : w * shrink]
         split = cut.reshape(h, shrink, w, shrink, *array.shape[2:]).swapaxes(1, 2)

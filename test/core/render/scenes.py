@@ -37,7 +37,9 @@ def pixel_m(draft: Draft) -> NDArray[np.float64]:
     return width
 
 
-def place(draft: Draft, x: NDArray, y: NDArray, which: slice = slice(None)) -> None:
+def place(
+    draft: Draft, x: NDArray[np.floating], y: NDArray[np.floating], which: slice = slice(None)
+) -> None:
     """Move means to these pixels, at the depths they have."""
     view, p = draft.view, draft.planes
     z = p[2, which]

@@ -80,7 +80,7 @@ def expected(scene: Scene, seed: int) -> Expected:
     )
 
 
-def relative(found: NDArray, truth: NDArray) -> float:
+def relative(found: NDArray[np.floating], truth: NDArray[np.floating]) -> float:
     """Relative L2 error; 0 where there is nothing and nothing was found."""
     error = float(np.linalg.norm(found - truth))
     return error / float(np.linalg.norm(truth)) if error else 0.0

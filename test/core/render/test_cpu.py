@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The CPU renderer's own matters: threads, tiles, order, limits, and input that is no good."""
+"""What only the CPU renderer does: threads, tiles, order, limits, and invalid input."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def crowd(seed: int, count: int) -> NDArray[np.float32]:
     return planes.astype(np.float32)
 
 
-def camera(width: int, height: int, T_world_cam: NDArray | None = None) -> View:
+def camera(width: int, height: int, T_world_cam: NDArray[np.float64] | None = None) -> View:
     focal = 0.8 * max(width, height)
     T = np.eye(4) if T_world_cam is None else T_world_cam
     return View(width, height, focal, focal, 0.5 * width - 0.5, 0.5 * height - 0.5, T)
@@ -62,7 +62,9 @@ def one(z: float, opacity: float, color: tuple[float, float, float]) -> NDArray[
     return planes
 
 
-def everything(renderer: CpuRenderer, planes: NDArray, view: View) -> dict[str, NDArray]:
+def everything(
+    renderer: CpuRenderer, planes: NDArray[np.floating], view: View
+) -> dict[str, NDArray[np.floating]]:
     """Render, and derive by a random upstream gradient; zeros where nothing is touched."""
     image = renderer.render(planes, view).planes.copy()
     upstream = np.random.default_rng(1).normal(size=image.shape).astype(np.float32)
@@ -76,7 +78,9 @@ def everything(renderer: CpuRenderer, planes: NDArray, view: View) -> dict[str, 
     }
 
 
-def assert_same(found: dict[str, NDArray], expected: dict[str, NDArray]) -> None:
+def assert_same(
+    found: dict[str, NDArray[np.floating]], expected: dict[str, NDArray[np.floating]]
+) -> None:
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values, err_msg=name)
 
@@ -155,7 +159,9 @@ def test_images_of_any_size_are_the_references(
     assert (np.abs(found - expected)[:, sure] < IMAGE * limits).all()
 
 
-def composited(z: NDArray, opacity: NDArray, red: NDArray) -> tuple[float, float, int]:
+def composited(
+    z: NDArray[np.floating], opacity: NDArray[np.floating], red: NDArray[np.floating]
+) -> tuple[float, float, int]:
     """Red, what shines through, and how many take part, of Gaussians all middled on a pixel."""
     through, total = 1.0, 0.0
     order = np.argsort(z, kind='stable')
@@ -283,7 +289,7 @@ def test_too_many_pairs_are_refused_with_the_numbers(
     ids=lambda planes: f'{planes.dtype}{planes.shape}',
 )
 def test_other_planes_are_refused_with_what_they_are(
-    renderer: CpuRenderer, planes: NDArray
+    renderer: CpuRenderer, planes: NDArray[np.floating]
 ) -> None:
     with pytest.raises(RenderError, match=str(planes.dtype)):
         renderer.render(planes, camera(20, 20))
@@ -294,7 +300,9 @@ def test_other_planes_are_refused_with_what_they_are(
     [np.zeros((5, 21, 20), np.float32), np.zeros((4, 20, 20), np.float32), np.zeros((5, 20, 20))],
     ids=lambda gradient: f'{gradient.dtype}{gradient.shape}',
 )
-def test_a_gradient_of_another_image_is_refused(renderer: CpuRenderer, gradient: NDArray) -> None:
+def test_a_gradient_of_another_image_is_refused(
+    renderer: CpuRenderer, gradient: NDArray[np.floating]
+) -> None:
     renderer.render(crowd(9, 5), camera(20, 20))
     with pytest.raises(RenderError, match=r'not float32 \(5, 20, 20\)'):
         renderer.backward(gradient)
@@ -339,7 +347,7 @@ def test_a_gradient_that_is_not_finite_touches_nobody_and_spares_the_others(
 
 @pytest.mark.parametrize('seed', range(12))
 def test_whatever_the_parameters_the_image_is_finite(renderer: CpuRenderer, seed: int) -> None:
-    """Any bits at all, and needles as long as float32 can tell, in any view."""
+    """Any bits, and needles as long as float32 can represent, in any view."""
     rng = np.random.default_rng(seed)
     for _ in range(10):
         count = int(rng.integers(1, 60))

@@ -99,7 +99,9 @@ def evaluate(inputs, out):
         emitted(inputs[k], out[k])
 
 
-def results(x: NDArray, y: NDArray | None = None) -> dict[str, NDArray[np.float32]]:
+def results(
+    x: NDArray[np.floating], y: NDArray[np.floating] | None = None
+) -> dict[str, NDArray[np.float32]]:
     """Evaluate the expressions at x and y (N,), filled up with the last ones; by name."""
     rows = -(-len(x) // LANES)
     inputs = np.empty((rows, 2, LANES), np.float32)
@@ -248,9 +250,9 @@ for kernel in (tiles.project_all, tiles.blend_tiles, tiles.blend_tiles_backward,
 """
 
 
-def rendered() -> list[NDArray]:
+def rendered() -> list[NDArray[np.floating]]:
     """Images of a few scenes, and gradients by mean, scale, rotation, opacity, colour, pose."""
-    found: list[NDArray] = []
+    found: list[NDArray[np.floating]] = []
     renderer = CpuRenderer(Workers(1))
     for name in SCENES:
         made = scene(name, 1)

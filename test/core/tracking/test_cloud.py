@@ -49,7 +49,9 @@ def restored_threads() -> Iterator[None]:
     jit.set_threads(None)
 
 
-def plane_depth(camera: PinholeCamera, normal: NDArray, distance_m: float) -> NDArray[np.float32]:
+def plane_depth(
+    camera: PinholeCamera, normal: NDArray[np.floating], distance_m: float
+) -> NDArray[np.float32]:
     """Depth image of the plane n . p = -distance; 0 where it is not in front of the camera."""
     rays = camera.undistortion_map.astype(np.float64)
     facing = rays @ normal[:2] + normal[2]
@@ -59,7 +61,10 @@ def plane_depth(camera: PinholeCamera, normal: NDArray, distance_m: float) -> ND
 
 
 def sampled(
-    depth_m: NDArray, camera: PinholeCamera = PINHOLE, seed: int = 1, stride: int = STRIDE
+    depth_m: NDArray[np.floating],
+    camera: PinholeCamera = PINHOLE,
+    seed: int = 1,
+    stride: int = STRIDE,
 ) -> FrameCloud:
     return sample_cloud(depth_m, camera.undistortion_map, CloudConfig(), SENSOR, stride, seed)
 

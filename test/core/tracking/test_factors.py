@@ -34,7 +34,7 @@ def spd(rng: np.random.Generator, count: int, sigma_m: float) -> NDArray[np.floa
     return factors @ factors.transpose(0, 2, 1) + 0.05 * sigma_m**2 * np.eye(3)
 
 
-def unit(vectors: NDArray) -> NDArray:
+def unit(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
@@ -57,7 +57,7 @@ def make_pairs(
     return PointFactors(points.astype(np.float32), covariances, targets, normals)
 
 
-def full(scalars: NDArray) -> NDArray[np.float64]:
+def full(scalars: NDArray[np.floating]) -> NDArray[np.float64]:
     """(N, 6) xx xy xz yy yz zz to (N, 3, 3)."""
     rows, columns = np.triu_indices(3)
     matrices = np.zeros((len(scalars), 3, 3))
@@ -65,7 +65,7 @@ def full(scalars: NDArray) -> NDArray[np.float64]:
     return matrices
 
 
-def omegas(pairs: PointFactors, T: NDArray) -> NDArray[np.float64]:
+def omegas(pairs: PointFactors, T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Omega_i = Sigma_i + R D_i R^T (N, 3, 3), the paper's, in the world."""
     R, t = T[:3, :3], pairs.targets
     u = t.axes.astype(np.float64)
@@ -74,24 +74,24 @@ def omegas(pairs: PointFactors, T: NDArray) -> NDArray[np.float64]:
     return sigma + R @ full(pairs.covariances) @ R.T
 
 
-def residuals(pairs: PointFactors, T: NDArray) -> NDArray[np.float64]:
+def residuals(pairs: PointFactors, T: NDArray[np.float64]) -> NDArray[np.float64]:
     """d_i = mu_i - T a_i (N, 3), the paper's, in the world."""
     moved = pairs.points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
     difference: NDArray[np.float64] = pairs.targets.points.astype(np.float64) - moved
     return difference
 
 
-def squares(d: NDArray, omega: NDArray) -> NDArray[np.float64]:
+def squares(d: NDArray[np.floating], omega: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.einsum('ij,ij->i', d, np.linalg.solve(omega, d[:, :, None])[:, :, 0])
 
 
-def huber(square: NDArray, delta: float) -> NDArray[np.float64]:
+def huber(square: NDArray[np.floating], delta: float) -> NDArray[np.float64]:
     """Return rho(s): s inside delta^2, 2 delta sqrt(s) - delta^2 beyond."""
     beyond = square > delta**2
     return np.where(beyond, 2 * min(delta, 1e6) * np.sqrt(square) - min(delta, 1e6) ** 2, square)
 
 
-def cost_at(pairs: PointFactors, xi: NDArray, omega: NDArray) -> float:
+def cost_at(pairs: PointFactors, xi: NDArray[np.floating], omega: NDArray[np.floating]) -> float:
     """E(T exp(xi)) with the Omega held."""
     square = squares(residuals(pairs, T_WORLD_CAM @ se3.exp(xi)), omega)
     return pairs.weight * float(huber(square, pairs.huber).sum())
@@ -226,7 +226,7 @@ def test_along_normals_is_what_an_unbounded_radius_leaves() -> None:
     x, y, z = pairs.normals.T
     tangential = np.column_stack([1 - x * x, -x * y, -x * z, 1 - y * y, -y * z, 1 - z * z])
     # In float64: the kernel takes both, and float32 would drown D in r^2.
-    covariances: NDArray = pairs.covariances + 10.0 * tangential.astype(np.float64)
+    covariances: NDArray[np.floating] = pairs.covariances + 10.0 * tangential.astype(np.float64)
     wide = replace(pairs, covariances=covariances)
     sharp, limit = pairs.along_normals(T_WORLD_CAM), wide.normal_equations(T_WORLD_CAM)
     np.testing.assert_allclose(limit.H, sharp.H, atol=1e-3 * np.abs(sharp.H).max())

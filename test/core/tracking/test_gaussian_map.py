@@ -282,7 +282,7 @@ def test_tracking_covariance_is_that_of_the_last_view() -> None:
     assert (error <= COVARIANCE * np.abs(expected).max(axis=(1, 2))).all()
 
 
-def pose_and_view(camera: PinholeCamera) -> tuple[NDArray, NDArray[np.float32]]:
+def pose_and_view(camera: PinholeCamera) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Pose of a camera and a wavy depth image it sees."""
     T_world_cam = se3.exp(np.array([0.4, -0.3, 0.2, 0.3, -0.8, 0.5]))
     v, u = np.mgrid[: camera.height, : camera.width]
@@ -291,10 +291,13 @@ def pose_and_view(camera: PinholeCamera) -> tuple[NDArray, NDArray[np.float32]]:
 
 
 def lifted(
-    camera: PinholeCamera, pixels: NDArray, depth_m: NDArray, T_world_cam: NDArray
+    camera: PinholeCamera,
+    pixels: NDArray[np.floating] | NDArray[np.int64],
+    depth_m: NDArray[np.floating],
+    T_world_cam: NDArray[np.float64],
 ) -> NDArray[np.float32]:
     """World points of pixels (N, 2) at depths (N,)."""
-    rays = np.column_stack([camera.undistort(pixels), np.ones(len(pixels))])
+    rays = np.column_stack([camera.undistort(pixels.astype(np.float64)), np.ones(len(pixels))])
     points = rays * depth_m[:, None] @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     return points.astype(np.float32)
 

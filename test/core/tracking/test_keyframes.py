@@ -31,7 +31,7 @@ LANDMARKS = 100
 
 def wants(
     policy: KeyframePolicy,
-    xi: NDArray | None = None,
+    xi: NDArray[np.floating] | None = None,
     after_ns: int = LATER_NS,
     overlap: float = 0.9,
     landmarks: int = LANDMARKS,
@@ -150,7 +150,7 @@ def wall(distance_m: float = 1.5, seed: int = 1, tilt: float = 0.3) -> FrameClou
 def spawned(
     cloud: FrameCloud,
     gaussians: GaussianMap,
-    T_world_cam: NDArray = T_WORLD_CAM,
+    T_world_cam: NDArray[np.float64] = T_WORLD_CAM,
     host: int = 0,
     sensor: SensorNoise = SENSOR,
 ) -> NDArray[np.int64]:

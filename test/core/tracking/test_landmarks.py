@@ -41,24 +41,30 @@ def image_of_blocks(seed: int, size: tuple[int, int] = (240, 320)) -> NDArray[np
     return cv2.GaussianBlur(image, (5, 5), 1.0)  # type: ignore[no-any-return]
 
 
-def plane_depth(camera: PinholeCamera, normal: NDArray, distance_m: float) -> NDArray[np.float32]:
+def plane_depth(
+    camera: PinholeCamera, normal: NDArray[np.floating], distance_m: float
+) -> NDArray[np.float32]:
     """Depth image of the plane n . p = -distance."""
     rays = camera.undistortion_map.astype(np.float64)
     depth: NDArray[np.float32] = (-distance_m / (rays @ normal[:2] + normal[2])).astype(np.float32)
     return depth
 
 
-def lifted(camera: PinholeCamera, pixels: NDArray, z: NDArray) -> NDArray[np.float64]:
+def lifted(
+    camera: PinholeCamera, pixels: NDArray[np.floating], z: NDArray[np.floating]
+) -> NDArray[np.float64]:
     rays = camera.undistort(pixels).astype(np.float64)
     return np.column_stack([rays, np.ones(len(rays))]) * np.asarray(z)[:, None]
 
 
-def to_world(points: NDArray, T_world_cam: NDArray) -> NDArray[np.float64]:
+def to_world(
+    points: NDArray[np.floating], T_world_cam: NDArray[np.float64]
+) -> NDArray[np.float64]:
     moved: NDArray[np.float64] = points @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     return moved
 
 
-def landmarks_at(pixels: NDArray, world: NDArray) -> Landmarks:
+def landmarks_at(pixels: NDArray[np.floating], world: NDArray[np.floating]) -> Landmarks:
     n = len(pixels)
     variance = np.full(n, 1e-6, np.float32)
     axes = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
@@ -72,8 +78,8 @@ def measured(
     landmarks: Landmarks,
     depth_m: NDArray[np.float32],
     camera: PinholeCamera = PINHOLE,
-    T_cam_cam_at_depth: NDArray = STILL,
-    T_world_cam: NDArray = STILL,
+    T_cam_cam_at_depth: NDArray[np.float64] = STILL,
+    T_world_cam: NDArray[np.float64] = STILL,
     weight: float = 1.0,
 ) -> tuple[Landmarks, PointFactors]:
     return landmarks.measured(
@@ -95,7 +101,7 @@ def detected(
     )
 
 
-def map_about(camera: PinholeCamera, depth_m: NDArray, seed: int) -> GaussianMap:
+def map_about(camera: PinholeCamera, depth_m: NDArray[np.floating], seed: int) -> GaussianMap:
     """Gaussians within a centimetre of the measured surface, with normals of their own."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[0 : camera.height : 2, 0 : camera.width : 2]

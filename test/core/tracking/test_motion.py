@@ -31,11 +31,11 @@ def on_twist(stamp_ns: int) -> NDArray[np.float64]:
 
 def moving_on_twist() -> tuple[ConstantVelocity, int]:
     """Three frames along a constant twist, at uneven intervals."""
-    motion, stamp = ConstantVelocity(), START_NS
-    motion.start(T_START, stamp, np.zeros(6))
+    stamp = START_NS
+    motion = ConstantVelocity.at_rest(T_START, stamp)
     for step in (FRAME_NS, 2 * FRAME_NS, FRAME_NS // 2):
         stamp += step
-        motion.advance(on_twist(stamp), stamp)
+        motion = motion.advanced(on_twist(stamp), stamp)
     return motion, stamp
 
 
@@ -56,8 +56,7 @@ def test_the_longer_the_less_sure() -> None:
 
 
 def test_a_still_camera_stays() -> None:
-    motion = ConstantVelocity()
-    motion.start(T_START, START_NS, np.zeros(6))
+    motion = ConstantVelocity.at_rest(T_START, START_NS)
     np.testing.assert_array_equal(motion.predict(START_NS + FRAME_NS), T_START)
     local = motion.arriving(T_START, START_NS + FRAME_NS)
     np.testing.assert_allclose(local.pose_after(-0.02), np.eye(4), atol=EXACT)
@@ -69,18 +68,17 @@ def test_over_a_long_gap_nothing_is_extrapolated() -> None:
     np.testing.assert_array_equal(motion.predict(later), motion.T_world_cam)
     there = T_START @ se3.exp(10 * TWIST)
     np.testing.assert_allclose(motion.arriving(there, later).pose_after(0.02), np.eye(4))
-    motion.advance(there, later)
-    np.testing.assert_array_equal(motion.predict(later + FRAME_NS), there)
+    after = motion.advanced(there, later)
+    np.testing.assert_array_equal(after.predict(later + FRAME_NS), there)
 
 
 def test_prediction_moves_with_the_world() -> None:
     """Left invariance."""
     T = se3.exp(np.array([1.0, -2.0, 0.5, 0.4, -0.3, 0.8]))
     here, stamp = moving_on_twist()
-    there = ConstantVelocity()
-    there.start(T @ T_START, START_NS, np.zeros(6))
+    there = ConstantVelocity.at_rest(T @ T_START, START_NS)
     for k in (FRAME_NS, 3 * FRAME_NS, 3 * FRAME_NS + FRAME_NS // 2):
-        there.advance(T @ on_twist(START_NS + k), START_NS + k)
+        there = there.advanced(T @ on_twist(START_NS + k), START_NS + k)
     np.testing.assert_allclose(
         there.predict(stamp + FRAME_NS), T @ here.predict(stamp + FRAME_NS), atol=10 * EXACT
     )
@@ -110,9 +108,8 @@ def test_uniform_acceleration_along_a_line_is_exact(second_ns: int) -> None:
         T[:3, 3] = velocity * t + 0.5 * acceleration * t * t
         return T
 
-    motion = ConstantVelocity()
-    motion.start(pose(START_NS), START_NS, np.zeros(6))
-    motion.advance(pose(START_NS + FRAME_NS), START_NS + FRAME_NS)
+    motion = ConstantVelocity.at_rest(pose(START_NS), START_NS)
+    motion = motion.advanced(pose(START_NS + FRAME_NS), START_NS + FRAME_NS)
     now = START_NS + FRAME_NS + second_ns
     local = motion.arriving(pose(now), now)
     np.testing.assert_allclose(local.acceleration[:3], acceleration, atol=1e-6)

@@ -14,7 +14,9 @@ EXACT = 1e-9  # relative
 SPECTRUM = np.array([2e3, 5e3, 1e4, 3e4, 8e4, 4e5])
 
 
-def turned(spectrum: NDArray, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def turned(
+    spectrum: NDArray[np.floating], seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Symmetric matrix of that spectrum and its axes (columns)."""
     n = len(spectrum)
     axes = np.linalg.qr(np.random.default_rng(seed).normal(size=(n, n)))[0]
@@ -22,7 +24,9 @@ def turned(spectrum: NDArray, seed: int) -> tuple[NDArray[np.float64], NDArray[n
     return 0.5 * (matrix + matrix.T), axes
 
 
-def blocks(translation: NDArray, rotation: NDArray) -> NDArray[np.float64]:
+def blocks(
+    translation: NDArray[np.floating], rotation: NDArray[np.floating]
+) -> NDArray[np.float64]:
     H = np.zeros((6, 6))
     H[:3, :3], H[3:, 3:] = translation, rotation
     return H

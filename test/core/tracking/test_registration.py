@@ -57,7 +57,7 @@ Plane = tuple[
 
 
 def on_planes(
-    planes: tuple[Plane, ...], shares: NDArray
+    planes: tuple[Plane, ...], shares: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points and normals at the places (N, 2) metres along each plane's directions."""
     points, normals = [], []
@@ -103,7 +103,7 @@ def landmarks_on(planes: tuple[Plane, ...], seed: int, count: int = 30) -> Point
 
 def registered(
     planes: tuple[Plane, ...],
-    T_start: NDArray,
+    T_start: NDArray[np.float64],
     image: PointFactors | None = None,
     config: Config = PATIENT,
     search_m: float = RADIUS_M,
@@ -112,7 +112,7 @@ def registered(
     return register(T_start, term, image, config, search_m)
 
 
-def error(T: NDArray) -> tuple[float, float]:
+def error(T: NDArray[np.float64]) -> tuple[float, float]:
     """Metres and radians off the truth."""
     xi = se3.log(se3.inverse(T_WORLD_CAM) @ T)
     return float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +21,9 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
-from dcgs_ros.core.tracking.tracker import Tracker, TrackingState, TrackResult
+from dcgs_ros.core.keyframe import MapUpdate
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
+from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
@@ -36,6 +38,7 @@ INVARIANT_M, INVARIANT_RAD = 1e-3, np.radians(0.05)
 SHORT_M, SHORT_RAD = 0.01, np.radians(0.5)
 SHARED_M, SHARED_RAD = 0.03, np.radians(1.5)
 BACK_NS = 900 * 10**9
+PATTERN_PX, PATTERN_STEP_PX = 90, 4
 IDEAL, KINECT, PLANE = (
     'synthetic:room?frames=12&sensor=ideal',
     'synthetic:room?frames=12&sensor=kinect',
@@ -139,7 +142,7 @@ def test_the_first_frame_is_where_it_is_said_to_be() -> None:
     for T_first in (None, T):
         first = tracked(IDEAL, T_world_first=T_first)[0]
         np.testing.assert_array_equal(first.T_world_cam, np.eye(4) if T_first is None else T)
-        assert first.keyframe and len(first.spawned) > 1000
+        assert first.keyframe and first.keyframes == () and first.points > 1000
         assert first.observability is None
 
 
@@ -161,7 +164,9 @@ def test_the_same_frames_give_the_same_bytes_with_any_threads(address: str) -> N
         for one, other in zip(runs[0], run, strict=True):
             assert one.T_world_cam.tobytes() == other.T_world_cam.tobytes()
             assert one.covariance.tobytes() == other.covariance.tobytes()
-            np.testing.assert_array_equal(one.spawned, other.spawned)
+            for a, b in zip(one.keyframes, other.keyframes, strict=True):
+                np.testing.assert_array_equal(a.ids, b.ids)
+                assert a.means.tobytes() == b.means.tobytes()
             assert one.colour_depth_offset_ms == other.colour_depth_offset_ms
 
 
@@ -197,15 +202,18 @@ def test_on_a_plane_only_landmarks_keep_the_pose_observable() -> None:
 
 
 @pytest.mark.parametrize('address', [IDEAL, KINECT])
-def test_the_map_holds_what_was_reported_as_spawned(address: str) -> None:
-    """Whoever listens to the results alone knows which Gaussians there are."""
+def test_the_map_holds_what_the_keyframes_brought(address: str) -> None:
+    """The results alone tell which Gaussians there are, and from which frame."""
     tracker = tracker_for(source_of(address))
     results = [tracker.track(frame) for frame in frames_of(address)]
-    spawned = np.concatenate([result.spawned for result in results])
-    ids = tracker.gaussians.ids
-    np.testing.assert_array_equal(np.sort(spawned), np.sort(ids[ids >= 0]))
-    assert all(result.keyframe for result in results if len(result.spawned))
-    assert tracker.keyframes == sum(result.keyframe for result in results)
+    keyframes = [keyframe for result in results for keyframe in result.keyframes]
+    ids = np.concatenate([keyframe.ids for keyframe in keyframes])
+    means = np.concatenate([keyframe.means for keyframe in keyframes])
+    np.testing.assert_array_equal(ids, tracker.gaussians.ids)
+    np.testing.assert_array_equal(means, tracker.gaussians.means)
+    stamps = [result.stamp_ns for result in results if result.keyframe]
+    assert [keyframe.frame.stamp_ns for keyframe in keyframes] == stamps
+    assert tracker.keyframes == len(keyframes)
 
 
 @pytest.mark.parametrize('after', [1, 2, 5])
@@ -252,7 +260,7 @@ def test_a_covered_lens_loses_the_pose_and_the_next_frames_find_it(
         assert result.state is TrackingState.LOST and not result.keyframe
         np.testing.assert_array_equal(result.T_world_cam, before[-1].T_world_cam)
         assert np.linalg.eigvalsh(result.covariance)[0] > 0.1**2
-        assert len(result.spawned) == 0 and result.landmarks == 0
+        assert result.keyframes == () and result.landmarks == 0
     assert len(tracker.gaussians) == size
     after = [tracker.track(frame) for frame in frames[8:]]
     assert not any(result.state is TrackingState.LOST for result in after)
@@ -327,6 +335,176 @@ def test_without_texture_depth_carries_on() -> None:
     ]
     assert not any(result.landmarks for result in results)
     assert_true(IDEAL, results)
+
+
+# What is handed over, and what comes back.
+
+
+def test_the_first_keyframe_comes_with_the_second_frame_or_when_flushed() -> None:
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    assert tracker.flush() == ()
+    assert tracker.track(frames[0]).keyframes == ()
+    second = tracker.track(frames[1])
+    (keyframe,) = second.keyframes
+    assert keyframe.frame is frames[0] and not second.keyframe
+    assert tracker.flush() == () == tracker.track(frames[2]).keyframes
+    alone = tracker_for(source_of(KINECT))
+    alone.track(frames[0])
+    (keyframe,) = alone.flush()
+    assert keyframe.frame is frames[0] and len(keyframe.ids) > 1000
+    assert alone.flush() == ()
+
+
+def test_the_first_keyframe_comes_even_if_the_second_frame_is_lost() -> None:
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    tracker.track(frames[0])
+    lost = tracker.track(blank(frames[1]))
+    assert lost.state is TrackingState.LOST
+    assert [keyframe.frame for keyframe in lost.keyframes] == [frames[0]]
+
+
+def test_the_depth_of_the_first_keyframe_is_placed_by_the_second_frame() -> None:
+    """By how far the camera went between the stamps; their constant offset is not known yet."""
+    source, frames = source_of(KINECT), frames_of(KINECT)
+    tracker = tracker_for(source)
+    tracker.track(frames[0])
+    (keyframe,) = tracker.track(frames[1]).keyframes
+    taken_ns = frames[0].depth_stamp_ns + round(source.colour_depth_offset_ms * 1e6)
+    true = se3.inverse(source.pose(frames[0].stamp_ns)) @ source.pose(taken_ns)
+    moved_m, moved_rad = distance(np.eye(4), true)
+    metres, radians = distance(true, keyframe.T_cam_cam_at_depth)
+    assert metres < 0.6 * moved_m and radians < 0.6 * moved_rad
+    np.testing.assert_array_equal(keyframe.means, tracker.gaussians.means[keyframe.ids])
+
+
+def test_a_keyframe_does_not_change_with_the_trackers_map() -> None:
+    """The mapper reads it in another thread."""
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    tracker.track(frames[0])
+    (keyframe,) = tracker.track(frames[1]).keyframes
+    means, normals = keyframe.means.copy(), keyframe.normals.copy()
+    n = len(keyframe.ids)
+    tracker.gaussians.reshape(keyframe.ids, np.ones((n, 3), np.float32), np.ones(n, np.float32))
+    tracker.gaussians.remove(keyframe.ids)
+    np.testing.assert_array_equal(keyframe.means, means)
+    np.testing.assert_array_equal(keyframe.normals, normals)
+
+
+def update(
+    ids: NDArray[np.int64], normal: tuple[float, float, float], removed: NDArray[np.int64]
+) -> MapUpdate:
+    n = len(ids)
+    normals, flatness = np.tile(np.array(normal, np.float32), (n, 1)), np.full(n, 0.25, np.float32)
+    return MapUpdate(ids, np.full((n, 3), 9.0, np.float32), normals, flatness, removed)
+
+
+def test_an_answer_reshapes_and_removes_but_moves_nothing() -> None:
+    tracker = tracker_for(source_of(IDEAL))
+    means, normals = np.ones((9, 3), np.float32), np.tile(np.array([0, 0, -1], np.float32), (9, 1))
+    tracker.gaussians.add(means, normals, np.zeros(9, np.float32), np.zeros(3), 0)
+    before = tracker.gaussians.means.copy()
+    ids, gone = np.array([7, 1, 4], np.int64), np.array([0, 4, 99], np.int64)
+    tracker.apply(update(ids, (0.6, 0, 0.8), gone))
+    alive = tracker.gaussians.alive(np.arange(9))
+    np.testing.assert_array_equal(alive, ~np.isin(np.arange(9), gone))
+    np.testing.assert_array_equal(tracker.gaussians.means[alive], before[alive])
+    changed = np.isin(np.arange(9), [7, 1])
+    np.testing.assert_array_equal(tracker.gaussians.flatness[alive & changed], 0.25)
+    np.testing.assert_array_equal(tracker.gaussians.flatness[alive & ~changed], 0)
+    half = np.array([-0.3, 0, -0.9]) / np.sqrt(0.9)  # of the way, on the side it was
+    found = tracker.gaussians.normals[alive & changed]
+    np.testing.assert_allclose(found, np.tile(half, (2, 1)), atol=1e-6)
+
+
+def test_a_mapper_that_removes_almost_everything_does_not_make_the_tracker_start_over() -> None:
+    """At the pose of the first frame, with ids that the mapper knows as others'."""
+    frames = frames_of(KINECT)
+    start = se3.exp(np.array([5.0, 0, 0, 0, 0, 1.0]))
+    tracker = tracker_for(source_of(KINECT), T_world_first=start)
+    tracker.track(frames[0])
+    second = tracker.track(frames[1])
+    used = int(tracker.gaussians.ids.max())
+    tracker.apply(update(np.empty(0, np.int64), (0, 0, 1), tracker.gaussians.ids[20:].copy()))
+    third = tracker.track(frames[2])
+    assert all(keyframe.ids.min() > used for keyframe in third.keyframes if len(keyframe.ids))
+    assert distance(second.T_world_cam, third.T_world_cam)[0] < 0.05
+
+
+# What goes wrong in the middle of a sequence.
+
+
+def keyhole(frame: RgbdFrame) -> RgbdFrame:
+    """Leave a small patch of the image, six pixels beside where it was."""
+    here, beside = np.s_[200:280, 300:380], np.s_[200:280, 306:386]
+    covered = blank(frame)
+    covered.color[beside] = frame.color[here]
+    return covered
+
+
+@pytest.mark.parametrize('covered', [blank, keyhole])
+@pytest.mark.parametrize('address', [IDEAL, KINECT])
+@pytest.mark.parametrize('at', [2, 6])
+def test_a_rejected_frame_leaves_no_trace(
+    address: str, at: int, covered: Callable[[RgbdFrame], RgbdFrame]
+) -> None:
+    """The next one is tracked as if it had not come, bit for bit, from the same landmarks.
+
+    They are neither lost with it nor where KLT took them in it.
+    """
+    frames = frames_of(address)
+    one, other = tracker_for(source_of(address)), tracker_for(source_of(address))
+    for frame in frames[:at]:
+        one.track(frame)
+        other.track(frame)
+    assert one.track(covered(frames[at])).state is TrackingState.LOST
+    assert len(one.landmarks) > 100
+    assert one.landmarks.pixels.tobytes() == other.landmarks.pixels.tobytes()
+    for frame in frames[at + 1 :]:
+        with_it, without = one.track(frame), other.track(frame)
+        assert with_it.T_world_cam.tobytes() == without.T_world_cam.tobytes()
+        assert with_it.covariance.tobytes() == without.covariance.tobytes()
+        assert with_it.landmarks == without.landmarks
+
+
+def with_pattern(frame: RgbdFrame, x: int) -> RgbdFrame:
+    """Project a textured square onto what is there at column x of the image."""
+    noise = np.random.default_rng(5).integers(0, 256, (PATTERN_PX, PATTERN_PX, 3), dtype=np.uint8)
+    color = frame.color.copy()
+    square = np.s_[200 : 200 + PATTERN_PX, x : x + PATTERN_PX]
+    color[square] = cv2.GaussianBlur(noise, (5, 5), 1.2)
+    return replace(frame, color=color)
+
+
+def test_corners_of_what_moves_are_dropped() -> None:
+    """A pattern slides through the image, a few pixels a frame; the pose does not follow it."""
+    tracker = tracker_for(source_of(IDEAL))
+    results, on_pattern = [], []
+    for k, frame in enumerate(frames_of(IDEAL)):
+        x = 180 + PATTERN_STEP_PX * k
+        results.append(tracker.track(with_pattern(frame, x)))
+        u, v = tracker.landmarks.pixels.T
+        on_it = (u > x) & (u < x + PATTERN_PX) & (v > 200) & (v < 200 + PATTERN_PX)
+        on_pattern.append(np.count_nonzero(on_it))
+    assert not any(result.keyframe for result in results[1:])  # which would find them anew
+    assert on_pattern[0] > 10 and on_pattern[-1] == 0
+    assert_true(IDEAL, results)
+
+
+@pytest.mark.parametrize('jump_s', [0.7, 3600.0])
+def test_a_clock_that_jumps_ahead_does_not_throw_the_pose(jump_s: float) -> None:
+    """The camera went on as before; what its last velocity would have made of the time did not."""
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    jump_ns = round(jump_s * 1e9)
+    results = []
+    for k, frame in enumerate(frames):
+        late_ns = jump_ns if k >= 6 else 0
+        moved = replace(
+            frame, stamp_ns=frame.stamp_ns + late_ns, depth_stamp_ns=frame.depth_stamp_ns + late_ns
+        )
+        result = tracker.track(moved)
+        results.append(replace(result, stamp_ns=frame.stamp_ns))
+    assert all(result.state is not TrackingState.LOST for result in results)
+    assert_true(KINECT, results)
 
 
 # Clocks that start anew, and maps that somebody else kept.
@@ -407,9 +585,9 @@ def test_a_tracker_goes_on_in_the_map_of_another(address: str) -> None:
     np.testing.assert_array_equal(tracker.T_world_cam, visited[-1])
     results = [tracker.track(of_another_clock(frame)) for frame in frames[6:]]
     assert_found(address, results, frames[6:])
-    spawned = np.concatenate([result.spawned for result in results])
+    spawned = [len(keyframe.ids) for result in results for keyframe in result.keyframes]
     assert tracker.gaussians is other.gaussians
-    assert len(tracker.gaussians) == size + len(spawned)
+    assert len(tracker.gaussians) == size + sum(spawned)
     assert tracker.keyframes == len(visited) + sum(result.keyframe for result in results)
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.writer import Writer as McapWriter
+from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -35,7 +36,7 @@ MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 
 
 class Entry(NamedTuple):
-    """A message on its way into a recording."""
+    """A message to be recorded."""
 
     topic: str
     type: str
@@ -100,7 +101,7 @@ def write_ros1(
 
 
 def various() -> Iterator[Entry]:
-    """Messages of some types that cameras and their recorders send."""
+    """Yield messages of various types that cameras and recorders send."""
     kinds = TYPES.types
     vector = kinds['geometry_msgs/msg/Vector3'](0.1, -0.2, 9.81)
     quaternion = kinds['geometry_msgs/msg/Quaternion'](0.0, 0.6, 0.0, 0.8)
@@ -138,22 +139,22 @@ def recording(frames: int, color: str = COLOR, depth: str = DEPTH) -> Iterator[E
         yield image_entry(color, stamp_ns, 'rgb8', color_of(k))
 
 
-def color_of(k: int) -> np.ndarray:
-    """Noise, another in each frame (48, 64, 3)."""
+def color_of(k: int) -> NDArray[np.uint8]:
+    """Return noise (48, 64, 3) that differs from frame to frame."""
     return np.random.default_rng(k).integers(0, 256, (48, 64, 3), np.uint8)
 
 
-def depth_of(k: int) -> np.ndarray:
-    """Millimetres (48, 64), some of them 0."""
+def depth_of(k: int) -> NDArray[np.uint16]:
+    """Return millimetres (48, 64), some of them 0."""
     depth = np.random.default_rng(1000 + k).integers(500, 4000, (48, 64)).astype(np.uint16)
     depth[: 4 + k % 8] = 0
     return depth
 
 
 def image_entry(
-    topic: str, stamp_ns: int, encoding: str, pixels: np.ndarray, frame: str = OPTICAL
+    topic: str, stamp_ns: int, encoding: str, pixels: NDArray[Any], frame: str = OPTICAL
 ) -> Entry:
-    """Image of these pixels, recorded `DELAY_NS` after its stamp."""
+    """Return an Image of these pixels, recorded `DELAY_NS` after its stamp."""
     name = 'sensor_msgs/msg/Image'
     height, width = pixels.shape[:2]
     data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
@@ -164,14 +165,14 @@ def image_entry(
 
 
 def depth_entry(
-    stamp_ns: int, depth_mm: np.ndarray, topic: str = DEPTH, frame: str = OPTICAL
+    stamp_ns: int, depth_mm: NDArray[np.uint16], topic: str = DEPTH, frame: str = OPTICAL
 ) -> Entry:
-    """Image in 16UC1."""
+    """Return an Image in 16UC1."""
     return image_entry(topic, stamp_ns, '16UC1', depth_mm, frame)
 
 
 def info_entry(stamp_ns: int, camera: PinholeCamera, topic: str = INFO) -> Entry:
-    """CameraInfo with K and D."""
+    """Return a CameraInfo with K and D."""
     name = 'sensor_msgs/msg/CameraInfo'
     K = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
     message = TYPES.types[name](
@@ -191,11 +192,11 @@ def info_entry(stamp_ns: int, camera: PinholeCamera, topic: str = INFO) -> Entry
 
 
 def header(stamp_ns: int, frame: str) -> Any:
-    """Stamp and frame."""
+    """Return a header."""
     stamp = TYPES.types['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 1_000_000_000))
     return TYPES.types['std_msgs/msg/Header'](stamp, frame)
 
 
 def entry_of(topic: str, name: str, stamp_ns: int, message: Any) -> Entry:
-    """Message on its topic, recorded `DELAY_NS` after its stamp."""
+    """Return a message on its topic, recorded `DELAY_NS` after its stamp."""
     return Entry(topic, name, stamp_ns + DELAY_NS, bytes(TYPES.serialize_cdr(message, name)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What realsense2_camera and RealSense Viewer record besides registered raw images."""
+"""Recordings by realsense2_camera and RealSense Viewer other than registered raw images."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ from bags import (  # type: ignore[import-not-found]
     image_entry,
     info_entry,
 )
+from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_msg
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 
 DEPTH_CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 31.0, 23.0)
-T_COLOR_DEPTH = se3.exp(np.array([0.015, -0.002, 0.001, 0.01, -0.02, 0.03]))
+T_COLORCAM_DEPTHCAM = se3.exp(np.array([0.015, -0.002, 0.001, 0.01, -0.02, 0.03]))
 UNALIGNED = '/camera/camera/depth/image_rect_raw'
 DEPTH_INFO = '/camera/camera/depth/camera_info'
 DEPTH_OPTICAL = 'camera_depth_optical_frame'
@@ -44,21 +45,21 @@ TYPES.register(get_types_from_msg('float64[9] rotation\nfloat64[3] translation',
 
 
 def unaligned(frames: int, camera: PinholeCamera = DEPTH_CAMERA) -> Iterator[Entry]:
-    """Depth as its sensor sees it, and its camera_info."""
+    """Yield unregistered depth and its camera_info."""
     for k in range(frames):
         stamp_ns = START_NS + k * INTERVAL_NS
         yield info_entry(stamp_ns, camera, DEPTH_INFO)
         yield depth_entry(stamp_ns, depth_of(k), UNALIGNED, DEPTH_OPTICAL)
 
 
-def extrinsics_entry(T: np.ndarray, topic: str = EXTRINSICS_TOPIC) -> Entry:
-    """Rotation by columns, translation."""
+def extrinsics_entry(T: NDArray[np.float64], topic: str = EXTRINSICS_TOPIC) -> Entry:
+    """Return an Extrinsics: rotation by columns, translation."""
     message = TYPES.types[EXTRINSICS](T[:3, :3].T.ravel(), T[:3, 3].copy())
     return entry_of(topic, EXTRINSICS, START_NS, message)
 
 
-def static_entry(transforms: Iterable[tuple[str, str, np.ndarray]]) -> Entry:
-    """/tf_static of (parent, child, T_parent_child)."""
+def static_entry(transforms: Iterable[tuple[str, str, NDArray[np.float64]]]) -> Entry:
+    """Return a /tf_static of (parent, child, T_parent_child)."""
     stamped = [
         TYPES.types['geometry_msgs/msg/TransformStamped'](
             header(START_NS, parent), child, _transform(T)
@@ -76,7 +77,7 @@ def imu_entry(
     rate: tuple[float, float, float],
     missing: str = '',
 ) -> Entry:
-    """Imu; `missing` is the quantity whose covariance begins with -1."""
+    """Return an Imu; `missing` is the quantity whose covariance begins with -1."""
     vector = TYPES.types['geometry_msgs/msg/Vector3']
     covariances = {name: np.zeros(9) for name in ('acceleration', 'rate')}
     if missing:
@@ -93,8 +94,8 @@ def imu_entry(
     return entry_of(topic, 'sensor_msgs/msg/Imu', stamp_ns, message)
 
 
-def pose_entry(stamp_ns: int, T: np.ndarray, topic: str = '/groundtruth') -> Entry:
-    """PoseStamped."""
+def pose_entry(stamp_ns: int, T: NDArray[np.float64], topic: str = '/groundtruth') -> Entry:
+    """Return a PoseStamped."""
     transform, name = _transform(T), 'geometry_msgs/msg/PoseStamped'
     place = transform.translation
     point = TYPES.types['geometry_msgs/msg/Point'](place.x, place.y, place.z)
@@ -103,7 +104,7 @@ def pose_entry(stamp_ns: int, T: np.ndarray, topic: str = '/groundtruth') -> Ent
 
 
 def compressed_entry(topic: str, stamp_ns: int, format_: str, data: bytes) -> Entry:
-    """Write a CompressedImage."""
+    """Return a CompressedImage."""
     name = 'sensor_msgs/msg/CompressedImage'
     message = TYPES.types[name](
         header(stamp_ns, 'camera_color_optical_frame'), format_, np.frombuffer(data, np.uint8)
@@ -111,15 +112,17 @@ def compressed_entry(topic: str, stamp_ns: int, format_: str, data: bytes) -> En
     return entry_of(topic, name, stamp_ns, message)
 
 
-def encoded(extension: str, pixels: np.ndarray) -> bytes:
-    """Image file of RGB or depth."""
+def encoded(extension: str, pixels: NDArray[Any]) -> bytes:
+    """Return an image file of RGB or depth."""
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     return bytes(cv2.imencode(extension, pixels)[1])
 
 
-def quantised(depth_m: np.ndarray, quantisation: float = 100.0, farthest_m: float = 10.0) -> bytes:
-    """Inverse depth behind compressed_depth_image_transport's header, as it does 32FC1."""
+def quantised(
+    depth_m: NDArray[np.float32], quantisation: float = 100.0, farthest_m: float = 10.0
+) -> bytes:
+    """Return inverse depth as compressed_depth_image_transport encodes 32FC1."""
     a = quantisation * (quantisation + 1.0)
     b = 1.0 - a / farthest_m
     inverse = np.zeros(depth_m.shape, np.uint16)
@@ -129,7 +132,7 @@ def quantised(depth_m: np.ndarray, quantisation: float = 100.0, farthest_m: floa
 
 
 def compressed(frames: int) -> Iterator[Entry]:
-    """Lossless colour and depth, as image_transport names them."""
+    """Yield losslessly compressed colour and depth on image_transport's topics."""
     for k in range(frames):
         stamp_ns = START_NS + k * INTERVAL_NS
         png = encoded('.png', color_of(k))
@@ -143,10 +146,10 @@ def compressed(frames: int) -> Iterator[Entry]:
 
 
 def viewer(
-    frames: int, camera: PinholeCamera, T_color_ref: np.ndarray, units_m: float = 0.001
+    frames: int, camera: PinholeCamera, T_color_ref: NDArray[np.float64], units_m: float = 0.001
 ) -> Iterator[Entry]:
-    """RealSense Viewer's topics; the depth sensor is `DEPTH_CAMERA`, turned from the reference."""
-    T_depth_ref = se3.inverse(T_COLOR_DEPTH) @ T_color_ref
+    """Yield RealSense Viewer's topics; depth is of `DEPTH_CAMERA`."""
+    T_depth_ref = se3.inverse(T_COLORCAM_DEPTHCAM) @ T_color_ref
     for stream, T in ((VIEWER_COLOR, T_color_ref), (VIEWER_DEPTH, T_depth_ref)):
         name = 'geometry_msgs/msg/Transform'
         yield entry_of(f'{stream}/tf/0', name, START_NS, _transform(T))
@@ -162,7 +165,7 @@ def viewer(
         yield image_entry(f'{VIEWER_COLOR}/image/data', stamp_ns, 'rgb8', color_of(k), frame='0')
 
 
-def _transform(T: np.ndarray) -> Any:
+def _transform(T: NDArray[np.float64]) -> Any:
     w, x, y, z = se3.to_quaternion(T)
     return TYPES.types['geometry_msgs/msg/Transform'](
         TYPES.types['geometry_msgs/msg/Vector3'](*T[:3, 3]),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which camera a recording holds: its topics, depth that has to be registered, its noise, IMU."""
+"""The camera of a recording: its topics, registration of depth, noise, IMU."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from numpy.typing import NDArray
 
 pytest.importorskip('rosbags')
 
@@ -36,7 +37,7 @@ from realsense_bags import (  # type: ignore[import-not-found]
     DEPTH_CAMERA,
     DEPTH_INFO,
     DEPTH_OPTICAL,
-    T_COLOR_DEPTH,
+    T_COLORCAM_DEPTHCAM,
     VIEWER_COLOR,
     VIEWER_DEPTH,
     compressed,
@@ -53,18 +54,15 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.bag import camera as bag_camera
-from dcgs_ros.datasets.bag.extrinsics import between
 from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.bag.topics import camera_topics
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.depth_registration import register_depth
 from dcgs_ros.datasets.source import ImuSample, SourceError
-from dcgs_ros.io.ros_images import MessageError
 
 EXACT = 1e-12  # of transforms, metres
 MOVED_M = 1e-5  # depth by float32's rounding of a transform
 EDGE = 0.01  # of the pixels, which the same rounding moves across an edge
-UNPLAIN = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5)
 T_ROOT = se3.exp(np.array([0.1, 0.2, -0.3, 0.5, -0.7, 1.1]))  # any frame above the cameras
 
 Bag = Callable[..., Path]
@@ -78,15 +76,15 @@ def bag(tmp_path: Path) -> Bag:
     return write
 
 
-def depths_of(source: BagSource) -> list[np.ndarray]:
+def depths_of(source: BagSource) -> list[NDArray[np.float32]]:
     frames = [item for item in source if isinstance(item, RgbdFrame)]
     assert len(frames) == len(source) > 0
     return [frame.depth_m for frame in frames]
 
 
-def registered(k: int, per_metre: float = 1000.0) -> np.ndarray:
+def registered(k: int, per_metre: float = 1000.0) -> NDArray[np.float32]:
     depth_m = depth_of(k).astype(np.float32) / np.float32(per_metre)
-    return register_depth(depth_m, DEPTH_CAMERA, T_COLOR_DEPTH, CAMERA)
+    return register_depth(depth_m, DEPTH_CAMERA, T_COLORCAM_DEPTHCAM, CAMERA)
 
 
 def without(entries: Iterable[Entry], *topics: str) -> list[Entry]:
@@ -151,7 +149,7 @@ def test_where_topics_are_missing_or_many_they_are_listed(bag: Bag) -> None:
 
 
 def test_unaligned_depth_is_registered_with_the_extrinsics(bag: Bag) -> None:
-    entries = [*without(recording(3), DEPTH), *unaligned(3), extrinsics_entry(T_COLOR_DEPTH)]
+    entries = [*without(recording(3), DEPTH), *unaligned(3), extrinsics_entry(T_COLORCAM_DEPTHCAM)]
     source = BagSource(bag(entries))
     assert source.camera == CAMERA
     assert source.sensor == SensorNoise.stereo(DEPTH_CAMERA.focal, 0.05)
@@ -162,7 +160,7 @@ def test_unaligned_depth_is_registered_with_the_extrinsics(bag: Bag) -> None:
 
 def test_unaligned_depth_is_registered_through_the_tree_of_frames(bag: Bag) -> None:
     T_link_color = se3.exp(np.array([0.0, 0.05, 0.0, 1.0, -1.0, 1.0]))
-    T_link_depth = T_link_color @ T_COLOR_DEPTH
+    T_link_depth = T_link_color @ T_COLORCAM_DEPTHCAM
     T_color_optical = se3.exp(np.array([0, 0, 0, -0.5, 0.5, -0.5]))
     tree = [
         ('base', 'camera_link', T_ROOT),
@@ -176,19 +174,6 @@ def test_unaligned_depth_is_registered_through_the_tree_of_frames(bag: Bag) -> N
         assert (np.abs(depth_m - registered(k)) > MOVED_M).mean() < EDGE
 
 
-def test_transforms_are_composed_up_and_down_a_tree() -> None:
-    tree = {'a': ('root', T_ROOT), 'b': ('a', T_COLOR_DEPTH), 'c': ('root', np.eye(4))}
-    T_c_b = between(tree, 'c', 'b')
-    assert T_c_b is not None
-    np.testing.assert_allclose(T_c_b, T_ROOT @ T_COLOR_DEPTH, atol=EXACT)
-    T_b_c = between(tree, 'b', 'c')
-    assert T_b_c is not None
-    np.testing.assert_allclose(T_b_c @ T_c_b, np.eye(4), atol=EXACT)
-    assert between(tree, 'c', 'elsewhere') is None
-    with pytest.raises(MessageError, match="'a' is above itself"):
-        between({'a': ('b', T_ROOT), 'b': ('a', T_ROOT)}, 'a', 'b')
-
-
 def test_unaligned_depth_without_what_registers_it_is_refused(bag: Bag) -> None:
     images = [*without(recording(1), DEPTH), *unaligned(1)]
     flag = r"'camera_depth_optical_frame'.*not registered.*no extrinsics.*align_depth.enable:=true"
@@ -197,14 +182,14 @@ def test_unaligned_depth_without_what_registers_it_is_refused(bag: Bag) -> None:
     apart = static_entry([('base', DEPTH_OPTICAL, T_ROOT)])
     with pytest.raises(SourceError, match=flag):
         BagSource(bag([*images, apart], 'apart'))
-    no_info = without([*images, extrinsics_entry(T_COLOR_DEPTH)], DEPTH_INFO)
+    no_info = without([*images, extrinsics_entry(T_COLORCAM_DEPTHCAM)], DEPTH_INFO)
     with pytest.raises(SourceError, match='no CameraInfo to do it is recorded'):
         BagSource(bag(no_info, 'no_info'))
 
 
 @pytest.mark.parametrize('scale', [0.0, np.nan, 1.1, -1.0])
 def test_extrinsics_that_are_no_transform_are_refused(bag: Bag, scale: float) -> None:
-    T = T_COLOR_DEPTH.copy()
+    T = T_COLORCAM_DEPTHCAM.copy()
     T[:3, :3] *= scale
     images = [*without(recording(1), DEPTH), *unaligned(1)]
     with pytest.raises(SourceError, match=r'extrinsics .* are no transform'):
@@ -349,7 +334,7 @@ def test_a_pose_that_is_none_is_lost_and_told(bag: Bag) -> None:
 
 def test_extrinsics_stand_beside_the_depth_they_are_of(bag: Bag) -> None:
     images = [*without(recording(1), DEPTH), *unaligned(1)]
-    other = extrinsics_entry(T_COLOR_DEPTH, '/other/extrinsics/depth_to_color')
+    other = extrinsics_entry(T_COLORCAM_DEPTHCAM, '/other/extrinsics/depth_to_color')
     with pytest.raises(SourceError, match='no extrinsics'):
         BagSource(bag([*images, other]))
 
@@ -360,7 +345,7 @@ def test_any_damaged_message_leaves_frames_or_one_error(bag: Bag) -> None:
     entries = [
         *without(recording(2), DEPTH),
         *unaligned(2),
-        extrinsics_entry(T_COLOR_DEPTH),
+        extrinsics_entry(T_COLORCAM_DEPTHCAM),
         pose_entry(START_NS, np.eye(4)),
         imu_entry('/imu', START_NS, (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)),
     ]

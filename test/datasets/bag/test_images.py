@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compressed images of a recording are what was compressed, or are refused, whatever they say."""
+"""Compressed images of a recording decode to the originals, or are refused."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip('rosbags')
 
@@ -52,7 +53,7 @@ def message(format_: str, data: bytes) -> SimpleNamespace:
     return SimpleNamespace(format=format_, data=np.frombuffer(data, np.uint8))
 
 
-def smooth() -> np.ndarray:
+def smooth() -> NDArray[np.uint8]:
     u, v = np.meshgrid(np.arange(64), np.arange(48))
     return np.stack([4 * u, 5 * v, 2 * u + 2 * v], axis=-1).astype(np.uint8)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording is read as it was recorded, or it is said what does not fit."""
+"""Recordings are read as they were recorded, or the error names what does not fit."""
 
 from __future__ import annotations
 
@@ -38,12 +38,10 @@ from bags import (  # type: ignore[import-not-found]
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.trajectory import Trajectory
-from dcgs_ros.datasets.bag.messages import raw_messages, read_header, with_stamp
 from dcgs_ros.datasets.bag.source import BagSource
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import BadFrame, SourceError
-from dcgs_ros.io.ros_images import MessageError
 from dcgs_ros.io.trajectory import write_tum
 
 FRAMES = 5
@@ -56,7 +54,7 @@ Bag = Callable[..., Path]
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Bag:
-    """Return a writer of recordings: of `recording(FRAMES)`, or of what it is given."""
+    """Return a function that writes a recording: `recording(FRAMES)`, or given entries."""
 
     def write(entries: list[Entry] | None = None, name: str = 'bag', plugin: int = MCAP) -> Path:
         entries = list(recording(FRAMES)) if entries is None else entries
@@ -226,31 +224,6 @@ def test_an_image_that_comes_too_late_is_left_out_and_nothing_else(
     assert 'more than 4 images late' in items[0].reason  # type: ignore[union-attr]
 
 
-def test_raw_messages_are_those_recorded(bag: Bag) -> None:
-    entries = list(recording(3))
-    raw = list(raw_messages(bag(entries), (COLOR, INFO)))
-    expected = sorted(entry for entry in entries if entry.topic != DEPTH)
-    assert sorted(tuple(message) for message in raw) == expected
-    assert not list(raw_messages(bag(entries, 'again'), ('/elsewhere',)))
-
-
-@pytest.mark.parametrize('entry', [image_entry(COLOR, START_NS, 'rgb8', color_of(0))])
-def test_a_stamp_is_replaced_and_nothing_else(entry: Entry) -> None:
-    assert read_header(entry.cdr) == (START_NS, 'camera_color_optical_frame')
-    moved = with_stamp(entry.cdr, 5_000_000_007)
-    assert read_header(moved) == (5_000_000_007, 'camera_color_optical_frame')
-    assert (moved[:4], moved[12:]) == (entry.cdr[:4], entry.cdr[12:])
-    big_endian = b'\0\0\0\0' + bytes([0, 0, 0, 2, 0, 0, 0, 3, 0, 0, 0, 2]) + b'a\0'
-    assert read_header(big_endian) == (2_000_000_003, 'a')
-    assert with_stamp(big_endian, 2_000_000_003) == big_endian
-
-
-@pytest.mark.parametrize('cdr', [b'', b'\0\1\0\0', b'\0\1\0\0' + bytes(8) + b'\xff' * 8])
-def test_what_has_no_header_is_refused(cdr: bytes) -> None:
-    with pytest.raises(MessageError, match=f'{len(cdr)} bytes do not begin with a header'):
-        read_header(cdr)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize('apart', [False, True])
 def test_memory_does_not_grow_with_the_recording(bag: Bag, apart: bool) -> None:
@@ -276,7 +249,7 @@ def test_memory_does_not_grow_with_the_recording(bag: Bag, apart: bool) -> None:
 def test_without_rosbags_it_is_said_what_to_install(bag: Bag) -> None:
     code = (
         'import sys; sys.modules["rosbags"] = None\n'
-        'from dcgs_ros.datasets.bag import BagSource\n'
+        'from dcgs_ros.datasets.bag.source import BagSource\n'
         f'BagSource({str(bag())!r})'
     )
     run = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)

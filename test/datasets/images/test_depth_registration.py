@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Depth in the colour camera's image is what that camera would have measured."""
+"""Registered depth is what the colour camera would have measured."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import FrameError
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.depth_registration import register_depth
 
 LENS = (0.1, -0.2, 0.001, 0.002, 0.05)
@@ -27,17 +28,19 @@ BUDGET_S = 0.015
 SLACK = 4.0  # of a machine that is shared
 
 
-def plane_depth(camera: PinholeCamera, normal: np.ndarray, offset_m: float) -> np.ndarray:
-    """Depth (H, W) of the plane n^T p = offset in that camera's frame."""
+def plane_depth(
+    camera: PinholeCamera, normal: NDArray[np.float64], offset_m: float
+) -> NDArray[np.float32]:
+    """Return depth (H, W) of the plane n^T p = offset in that camera's frame."""
     rays = camera.undistortion_map.astype(np.float64)
     along = rays @ normal[:2] + normal[2]
     return (offset_m / along).astype(np.float32)
 
 
 def both(
-    depth: PinholeCamera, color: PinholeCamera, T: np.ndarray, normal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Depth of one plane as registered and as the colour camera sees it itself."""
+    depth: PinholeCamera, color: PinholeCamera, T: NDArray[np.float64], normal: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return depth of a plane as registered, and as the colour camera sees it."""
     normal = normal / np.linalg.norm(normal)
     registered = register_depth(plane_depth(depth, normal, 2.0), depth, T, color)
     turned = T[:3, :3] @ normal

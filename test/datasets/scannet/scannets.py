@@ -8,12 +8,14 @@ import struct
 import zlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
 
 COLOR_SIZE, DEPTH_SIZE = (130, 97), (64, 48)
 # As ScanNet's: depth has a little less than half of colour's scale, and sees a little farther.
@@ -27,15 +29,15 @@ RAW, PNG, JPEG, ZLIB, OCCI = 0, 1, 2, 1, 2
 class Frame(NamedTuple):
     """A frame before it is compressed."""
 
-    color: np.ndarray  # (97, 130, 3) RGB
-    depth: np.ndarray  # (48, 64) millimetres
-    pose: np.ndarray  # (4, 4) camera to world
+    color: NDArray[np.uint8]  # (97, 130, 3) RGB
+    depth: NDArray[np.uint16]  # (48, 64) millimetres
+    pose: NDArray[np.float64]  # (4, 4) camera to world
     color_us: int
     depth_us: int
 
 
 def frames_of(count: int) -> list[Frame]:
-    """Noise in colour, depth from one to three metres, a camera that moves."""
+    """Return frames with noise as colour, depth from 1 to 3 m, and a moving camera."""
     frames = []
     for k in range(count):
         rng = np.random.default_rng(k)
@@ -52,15 +54,20 @@ def frames_of(count: int) -> list[Frame]:
     return frames
 
 
+def small_camera(size: tuple[int, int], K: NDArray[np.float64]) -> PinholeCamera:
+    """Return the camera of images of that width and height, with K (4, 4)."""
+    return PinholeCamera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+
+
 def sens_bytes(
     frames: Iterable[Frame],
     color_type: int = PNG,
     depth_type: int = ZLIB,
-    extrinsic_depth: np.ndarray = IDENTITY,
+    extrinsic_depth: NDArray[np.float64] = IDENTITY,
     imu: Sequence[tuple[float, int]] = (),
     count: int | None = None,
 ) -> bytes:
-    """Put a .sens file together; `imu` is a rotation rate about z and a stamp each."""
+    """Return the bytes of a .sens file; `imu` are rotation rates about z and their stamps."""
     name = b'StructureSensor'
     frames = list(frames)
     parts = [struct.pack('<IQ', 4, len(name)), name]
@@ -85,9 +92,9 @@ def sens_bytes(
 
 
 def write_folder(
-    folder: Path, frames: Sequence[Frame], extrinsic_depth: np.ndarray | None = None
+    folder: Path, frames: Sequence[Frame], extrinsic_depth: NDArray[np.float64] | None = None
 ) -> Path:
-    """Export as ScanNet's tools do, with names that do not sort as their numbers do."""
+    """Write a folder as ScanNet's tools do, whose names do not sort as their numbers."""
     for kind in ('color', 'depth', 'pose', 'intrinsic'):
         (folder / kind).mkdir(parents=True)
     for k, frame in enumerate(frames):
@@ -101,11 +108,11 @@ def write_folder(
     return folder
 
 
-def _color(color: np.ndarray, kind: int) -> bytes:
+def _color(color: NDArray[np.uint8], kind: int) -> bytes:
     if kind == RAW:
         return color.tobytes()
     return _encoded('.png' if kind == PNG else '.jpg', color[..., ::-1])
 
 
-def _encoded(suffix: str, image: np.ndarray) -> bytes:
+def _encoded(suffix: str, image: NDArray[Any]) -> bytes:
     return cv2.imencode(suffix, np.ascontiguousarray(image))[1].tobytes()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A .sens file is read as it was written, and no size in it is believed."""
+"""A .sens file is read as it was written, and its sizes are not trusted."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scannets import (  # type: ignore[import-not-found]
     DEPTH_LAG_US,
     INTERVAL_US,
@@ -45,7 +46,7 @@ Sens = Callable[..., Path]
 
 @pytest.fixture
 def sens(tmp_path: Path) -> Sens:
-    """Return a writer of .sens files from their bytes, by default four frames'."""
+    """Return a function that writes a .sens file, by default of four frames."""
 
     def write(data: bytes | None = None, name: str = 'scene0000_00.sens') -> Path:
         path = tmp_path / name
@@ -55,7 +56,7 @@ def sens(tmp_path: Path) -> Sens:
     return write
 
 
-def images_of(file: SensFile) -> list[tuple[np.ndarray, np.ndarray]]:
+def images_of(file: SensFile) -> list[tuple[NDArray[np.uint8], NDArray[np.uint16]]]:
     with file.path.open('rb') as stream:
         return [file.read_images(stream, k) for k in range(len(file.frames))]
 
@@ -165,7 +166,7 @@ def test_lying_image_sizes_end_the_file(sens: Sens, size: int, at: int) -> None:
 
 
 def one_frame(depth: bytes, color: bytes | None = None) -> bytes:
-    """Put one frame with these images in the place of its own."""
+    """Return a file of one frame with these images."""
     data = sens_bytes(frames_of(1))
     header, frame = data[:HEADER_BYTES], data[HEADER_BYTES:]
     own = struct.unpack_from('<QQ', frame, SIZES_AT)
@@ -198,7 +199,7 @@ def test_bad_depth_is_one_bad_frame(sens: Sens, fault: str) -> None:
 
 
 def huge_jpeg() -> bytes:
-    """Announce 65535 x 65535 pixels."""
+    """Return a JPEG header of 65535 x 65535 pixels."""
     return b'\xff\xd8\xff\xc0\x00\x11\x08' + b'\xff' * 4 + bytes(200) + b'\xff\xd9'
 
 
@@ -222,7 +223,7 @@ BAD_HEADERS = {
     'version': (0, struct.pack('<I', 3), 'version 3'),
     'name': (4, struct.pack('<Q', 2**64 - 1), 'a name of 18446744073709551615 bytes'),
     'intrinsics': (27, struct.pack('<f', np.nan), 'colour: intrinsics'),
-    'extrinsics': (27 + 64, struct.pack('<f', 2.0), 'extrinsics of colour .* no rigid motion'),
+    'extrinsics': (27 + 64, struct.pack('<f', 2.0), 'extrinsics of colour .* not a rigid motion'),
     'colour type': (HEADER_BYTES - 36, struct.pack('<i', 3), 'compressions 3, 1'),
     'occi': (HEADER_BYTES - 32, struct.pack('<i', OCCI), 'OCCI'),
     'colour width': (HEADER_BYTES - 28, struct.pack('<I', 2**32 - 1), '4294967295x97 and 64x48'),
@@ -245,7 +246,7 @@ def test_what_is_no_file_is_named(tmp_path: Path) -> None:
 
 
 def small_frames() -> list[Frame]:
-    """Frames that compress well: most of a file is then what can lie."""
+    """Return frames that compress well, so that most of a file is headers."""
     return [
         frame._replace(color=frame.color // 64 * 64, depth=frame.depth // 500 * 500)
         for frame in frames_of(2)
@@ -253,7 +254,7 @@ def small_frames() -> list[Frame]:
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """Flip bits, cut, or put a number that lies where sizes are."""
+    """Flip bits, cut the file off, or replace a size."""
     out = bytearray(data)
     choice = rng.integers(4)
     if choice == 0:
@@ -272,7 +273,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def read_mutations(sens: Sens, count: int, seed: int) -> dict[str, int]:
-    """Read as many damaged files; tell how they ended."""
+    """Read `count` damaged files; return how many ended in which way."""
     rng = np.random.default_rng(seed)
     originals = [sens_bytes(small_frames(), color) for color in (PNG, JPEG)]
     ends = {'error': 0, 'bad': 0, 'good': 0}

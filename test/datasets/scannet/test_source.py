@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ScanNet's scenes are seen by their depth cameras, colour resampled."""
+"""ScanNet's frames are those of the depth camera, with colour resampled."""
 
 from __future__ import annotations
 
@@ -9,39 +9,31 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scannets import (  # type: ignore[import-not-found]
     COLOR_SIZE,
-    DEPTH_SIZE,
     INTERVAL_US,
     JPEG,
     K_COLOR,
-    K_DEPTH,
     START_US,
     frames_of,
     sens_bytes,
+    small_camera,
     write_folder,
 )
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.cameras import PRESETS
+from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.color_resampling import color_resampling
 from dcgs_ros.datasets.images.depth_registration import register_depth
 from dcgs_ros.datasets.images.sequence import ImageSequence
-from dcgs_ros.datasets.poses import are_rigid, rigid_trajectory
 from dcgs_ros.datasets.scannet.source import LAYOUT, is_scannet, open_scannet
 from dcgs_ros.datasets.source import BadFrame, Source, SourceError
 
 FLOAT32_TURN = 1e-6  # of a pose's numbers
 TEXT_TURN = 1e-6  # with six decimals
 GREY_STEP = 1.0
-SHIFT_PX = 0.02
-
-SCANNET_COLOR = PinholeCamera(1296, 968, 1170.19, 1170.19, 647.75, 483.75)
-SCANNET_DEPTH = PinholeCamera(640, 480, 571.62, 571.62, 319.5, 239.5)
 
 
 def frames_in(source: Source) -> list[RgbdFrame]:
@@ -49,77 +41,6 @@ def frames_in(source: Source) -> list[RgbdFrame]:
     assert all(isinstance(frame, RgbdFrame) for frame in frames), frames
     assert len(frames) == len(source)
     return [frame for frame in frames if isinstance(frame, RgbdFrame)]
-
-
-def small_camera(size: tuple[int, int], K: np.ndarray) -> PinholeCamera:
-    return PinholeCamera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-
-
-def gradient(camera: PinholeCamera) -> np.ndarray:
-    """Ramps (H, W, 3) that tell where a pixel lies: across, down, along the diagonal."""
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    across, down = u * 200.0 / camera.width + 20, v * 200.0 / camera.height + 20
-    return np.rint(np.stack([across, down, (across + down) / 2], axis=2)).astype(np.uint8)
-
-
-def seen(color: PinholeCamera, depth: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (h, w) of colour on the rays of depth's, by the definition."""
-    u, v = np.meshgrid(np.arange(depth.width), np.arange(depth.height))
-    return (
-        (u - depth.cx) / depth.fx * color.fx + color.cx,
-        (v - depth.cy) / depth.fy * color.fy + color.cy,
-    )
-
-
-def errors_of(color: PinholeCamera, depth: PinholeCamera) -> np.ndarray:
-    """Errors (N, 3) in grey levels of the resampled ramps, but at the image's border."""
-    full = np.ones((depth.height, depth.width), np.float32)
-    resampled, _ = color_resampling(color, depth, np.eye(4))(gradient(color), full)
-    u, v = seen(color, depth)
-    across, down = u * 200.0 / color.width + 20, v * 200.0 / color.height + 20
-    exact = np.stack([across, down, (across + down) / 2], axis=2)
-    interior = (u > 3) & (u < color.width - 4) & (v > 3) & (v < color.height - 4)
-    assert interior.mean() > 0.7
-    return (resampled - exact)[interior]
-
-
-@pytest.mark.parametrize(
-    'depth',
-    [
-        SCANNET_DEPTH,
-        PinholeCamera(640, 480, 577.59, 578.73, 318.9, 242.68),
-        PinholeCamera(640, 480, 500.0, 510.0, 300.0, 250.0),
-    ],
-)
-def test_each_depth_pixel_shows_the_color_on_its_ray(depth: PinholeCamera) -> None:
-    assert np.abs(errors_of(SCANNET_COLOR, depth)).max() < GREY_STEP
-
-
-def test_nothing_is_shifted_by_a_part_of_a_pixel() -> None:
-    color, depth = small_camera(COLOR_SIZE, K_COLOR), small_camera(DEPTH_SIZE, K_DEPTH)
-    levels_per_px = 200.0 * np.array([color.fx / color.width, color.fy / color.height])
-    levels_per_px /= (depth.fx, depth.fy)  # steep: four levels
-    shift_px = errors_of(color, depth)[:, :2].mean(axis=0) / levels_per_px
-    assert np.abs(shift_px).max() < SHIFT_PX
-
-
-@pytest.mark.parametrize('depth', [SCANNET_DEPTH, PinholeCamera(640, 480, 400, 700, 200, 100)])
-def test_depth_ends_where_color_does(depth: PinholeCamera) -> None:
-    full = np.ones((depth.height, depth.width), np.float32)
-    resample = color_resampling(SCANNET_COLOR, depth, np.eye(4))
-    _, depth_m = resample(gradient(SCANNET_COLOR), full)
-    u, v = seen(SCANNET_COLOR, depth)
-    inside = (u >= -0.5) & (u <= SCANNET_COLOR.width - 0.5)
-    inside &= (v >= -0.5) & (v <= SCANNET_COLOR.height - 0.5)
-    np.testing.assert_array_equal(depth_m > 0, inside)
-
-
-def test_one_camera_for_both_leaves_them_as_they_are() -> None:
-    image = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
-    depth = np.random.default_rng(1).uniform(1, 2, (480, 640)).astype(np.float32)
-    color, depth_m = color_resampling(SCANNET_DEPTH, SCANNET_DEPTH, np.eye(4))(image, depth)
-    np.testing.assert_array_equal(color, image)
-    np.testing.assert_array_equal(depth_m, depth)
 
 
 def test_a_sens_file_gives_its_frames(tmp_path: Path) -> None:
@@ -191,16 +112,6 @@ def test_lost_poses_leave_the_frames(tmp_path: Path) -> None:
         assert source.groundtruth.stamps_ns.tolist() == [stamps[0], stamps[-1]]
 
 
-def test_without_any_pose_there_is_no_truth() -> None:
-    assert rigid_trajectory(np.arange(3), np.full((3, 4, 4), -np.inf, np.float32)) is None
-
-
-@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
-def test_rigid_motions_are_poses_in_float32_too(motion: list[float]) -> None:
-    T = se3.exp(np.array(motion))
-    assert are_rigid(np.stack([T, T.astype(np.float32), np.round(T, 6)])).all()
-
-
 def test_depth_of_another_place_is_registered(tmp_path: Path) -> None:
     T_rig_depth = se3.exp(np.array([0.05, 0, 0, 0, 0, 0]))
     written = frames_of(2)
@@ -263,7 +174,7 @@ BAD_FILES = {
     'binary': ('intrinsic_depth.txt', '\0\xff' * 9, '1 numbers, not the 16'),
     'endless': ('intrinsic_depth.txt', '1 ' * 100_000, '200000 bytes, more than'),
     'not finite': ('intrinsic_depth.txt', 'nan ' * 16, 'not usable'),
-    'moved': ('extrinsic_depth.txt', '3 ' * 16, 'no rigid motion'),
+    'moved': ('extrinsic_depth.txt', '3 ' * 16, 'not a rigid motion'),
     'another scale': (
         'intrinsic_depth.txt',
         '0.5 0 32 0 0 0.5 24 0 0 0 1 0 0 0 0 1',

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Paths are rigid, smooth, hand-like, and keep away from things."""
+"""Paths are rigid, smooth, like a hand's, and keep a distance from surfaces."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from dcgs_ros.datasets.synthetic.camera_motion import HandHeldPath
-from dcgs_ros.datasets.synthetic.scenes import SCENE_NAMES, build_setup
+from dcgs_ros.datasets.synthetic.scenes import SCENE_NAMES, build_scenario
 
 SEEDS = range(5)
 TIMES_S = np.arange(0, 60, 1 / 30)
@@ -26,8 +26,8 @@ def angular_rates(poses):
 @pytest.mark.parametrize('scene', SCENE_NAMES)
 @pytest.mark.parametrize('seed', SEEDS)
 def test_path_is_rigid_and_clear_of_things(scene, seed):
-    """R^T R = 1, det R = 1; nothing nearer than a forearm."""
-    stage = build_setup(scene, seed)
+    """R^T R = 1, det R = 1; no surface is nearer than a forearm."""
+    stage = build_scenario(scene, seed)
     poses = HandHeldPath(stage.motion, seed, 1.0).poses(TIMES_S)
     R = poses[:, :3, :3]
     np.testing.assert_allclose(
@@ -42,7 +42,7 @@ def test_path_is_rigid_and_clear_of_things(scene, seed):
 @pytest.mark.parametrize('seed', SEEDS)
 def test_room_is_walked_like_by_a_hand(seed):
     """About 0.25 m/s and 20-30 degrees/s, with bursts of more than 90."""
-    poses = HandHeldPath(build_setup('room', seed).motion, seed, 1.0).poses(TIMES_S)
+    poses = HandHeldPath(build_scenario('room', seed).motion, seed, 1.0).poses(TIMES_S)
     speeds = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) * 30
     rates = angular_rates(poses)
     assert 0.2 < speeds.mean() < 0.35 and speeds.max() < 0.8
@@ -51,23 +51,23 @@ def test_room_is_walked_like_by_a_hand(seed):
 
 def test_double_speed_is_the_same_path_twice_as_fast():
     """The pose at t of speed 2 is that at 2 t of speed 1."""
-    motion = build_setup('room', 1).motion
+    motion = build_scenario('room', 1).motion
     fast, slow = HandHeldPath(motion, 1, 2.0), HandHeldPath(motion, 1, 1.0)
     np.testing.assert_allclose(fast.poses(TIMES_S), slow.poses(2 * TIMES_S), atol=1e-12)
 
 
 @pytest.mark.parametrize('scene', SCENE_NAMES)
 def test_turns_add_up_to_nothing(scene):
-    """Else the path would jump where the cycle begins again."""
-    motion = build_setup(scene, 0).motion
+    """Otherwise the path would jump at the start of each cycle."""
+    motion = build_scenario(scene, 0).motion
     for channel in range(6):
         assert sum(turn.change for turn in motion.turns if turn.channel == channel) == 0
     assert all(turn.start_s + turn.duration_s < motion.cycle_s for turn in motion.turns)
 
 
 def test_seeds_shake_differently():
-    """Same way, other tremor: centimetres, not decimetres."""
-    motion = build_setup('room', 0).motion
+    """The seed changes the path by centimetres, not decimetres."""
+    motion = build_scenario('room', 0).motion
     a, b = (HandHeldPath(motion, seed, 1.0).poses(TIMES_S)[:, :3, 3] for seed in (0, 1))
     distance = np.linalg.norm(a - b, axis=1)
     assert 0.003 < distance.mean() < 0.05

@@ -7,7 +7,7 @@ import pytest
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.datasets.synthetic.color_camera import AutoExposure, expose
-from dcgs_ros.datasets.synthetic.raycast import CastView
+from dcgs_ros.datasets.synthetic.raycast import SceneView
 
 CAMERA = PinholeCamera(320, 240, 262.0, 262.0, 159.5, 119.5)
 DEPTH_M = 2.0
@@ -16,7 +16,7 @@ DEPTH_M = 2.0
 def view_of(radiance):
     """A wall at constant depth."""
     shape = radiance.shape[:2]
-    return CastView(np.full(shape, DEPTH_M, np.float32), np.ones(shape, np.float32), radiance)
+    return SceneView(np.full(shape, DEPTH_M, np.float32), np.ones(shape, np.float32), radiance)
 
 
 def striped(period_px):
@@ -43,7 +43,7 @@ def test_sideways_motion_blurs_like_a_sinc(half_travel_px):
 
 
 def test_noise_follows_read_and_shot_noise():
-    """Variance is g^2 1.44 + g 0.02 level, and a quarter of a step or so from rounding."""
+    """Variance is g^2 1.44 + g 0.02 level, plus a little from rounding."""
     for level, gain in ((50.0, 1.0), (100.0, 1.0), (60.0, 2.0)):
         flat = np.full((CAMERA.height, CAMERA.width, 3), level, np.float32)
         image = expose(view_of(flat), CAMERA, np.eye(4), gain, 1, 2).astype(float)
@@ -53,7 +53,7 @@ def test_noise_follows_read_and_shot_noise():
 
 
 def test_exposure_reaches_its_target_with_lag():
-    """A step of brightness takes about 1 / response frames to be made up."""
+    """A step of brightness is corrected in about 1 / response frames."""
     exposure, dim = AutoExposure(), np.full((64, 64, 3), 60.0, np.float32)
     exposure.react(dim)
     assert 60 * exposure.gain < 0.7 * AutoExposure.target

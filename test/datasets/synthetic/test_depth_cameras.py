@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Depth cameras against the laws they are built to follow."""
+"""Depth cameras against the laws they model."""
 
 import numpy as np
 import pytest
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.datasets.synthetic.depth_cameras import ActiveStereo, StructuredLight
-from dcgs_ros.datasets.synthetic.raycast import CastView
+from dcgs_ros.datasets.synthetic.raycast import SceneView
 
 CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
 SHAPE = (480, 640)
@@ -19,7 +19,7 @@ def wall(depth_m, contrast=40.0):
     depth = np.broadcast_to(np.float32(depth_m), SHAPE).copy()
     grey = 120 + contrast * np.random.default_rng(0).standard_normal((*SHAPE, 1))
     radiance = np.repeat(np.clip(grey, 0, 255), 3, axis=2).astype(np.float32)
-    return CastView(depth, np.ones(SHAPE, np.float32), radiance)
+    return SceneView(depth, np.ones(SHAPE, np.float32), radiance)
 
 
 def autocorrelation(error, shift):

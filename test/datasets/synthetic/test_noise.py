@@ -48,7 +48,7 @@ def test_smoothing_keeps_the_variance_and_sets_the_correlation(sigma):
 
 
 def test_threads_change_nothing():
-    """A counter has no order."""
+    """The result does not depend on the order of computation."""
     before = numba.get_num_threads()
     two = white_noise(5, 6, 7, SHAPE)
     numba.set_num_threads(1)

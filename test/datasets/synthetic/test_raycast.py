@@ -78,7 +78,7 @@ def test_depth_of_a_slanted_plane(seed):
     """A box' face is the plane n x = d: depth is d / (n ray)."""
     R = Rotation.from_rotvec(np.random.default_rng(seed).uniform(-0.4, 0.4, 3)).as_matrix()
     scene = scene_of([BOX], [[0, 0, 2.5]], [[9, 9, 0.5]], R[None])
-    view = cast(scene, build_textures(), CAMERA, np.eye(4), colour=False)
+    view = cast(scene, build_textures(), CAMERA, np.eye(4), color=False)
     normal = R[:, 2]
     expected = (normal[2] * 2.5 - 0.5) / (rays() @ normal)
     np.testing.assert_allclose(view.depth_m, expected, atol=DEPTH_TOLERANCE_M)
@@ -90,7 +90,7 @@ def test_depth_of_a_sphere():
     """|s ray - c| = r, on the near side; nothing beside the silhouette."""
     centre, radius = np.array([0.2, -0.1, 2.0]), 0.5
     scene = scene_of([SPHERE], [centre], [[radius] * 3])
-    depth = cast(scene, build_textures(), CAMERA, np.eye(4), colour=False).depth_m
+    depth = cast(scene, build_textures(), CAMERA, np.eye(4), color=False).depth_m
     a, b = (rays() ** 2).sum(-1), rays() @ centre
     root = b * b - a * (centre @ centre - radius**2)
     clear = np.abs(root) > 1e-3  # the silhouette itself may fall to either side
@@ -115,7 +115,7 @@ def test_culling_loses_nothing(seed):
         centres, halves = np.vstack([centres, np.zeros(3)]), np.vstack([halves, np.full(3, 6.0)])
     rotations = Rotation.random(len(kinds), random_state=seed).as_matrix()
     scene, pose = scene_of(kinds, centres, halves, rotations), pose_of(seed, spread=0.5)
-    depth = cast(scene, build_textures(), CAMERA, pose, colour=False).depth_m
+    depth = cast(scene, build_textures(), CAMERA, pose, color=False).depth_m
     agree = np.abs(depth - reference_depth(scene, pose)) < 1e-3
     assert agree.mean() > 0.999  # silhouettes may round to either side
 
@@ -136,8 +136,8 @@ def test_rigid_motion_of_everything_changes_nothing():
             'lamp': (T[:3, :3] @ scene.lamp + T[:3, 3]).astype(np.float32),
         }
     )
-    first = cast(scene, build_textures(), CAMERA, np.eye(4), colour=True)
-    second = cast(moved, build_textures(), CAMERA, T, colour=True)
+    first = cast(scene, build_textures(), CAMERA, np.eye(4), color=True)
+    second = cast(moved, build_textures(), CAMERA, T, color=True)
     close = np.abs(first.depth_m - second.depth_m) < 1e-4
     assert close.mean() > 0.999
     assert np.abs(first.radiance - second.radiance)[close].mean() < 0.05

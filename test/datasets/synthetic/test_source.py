@@ -21,7 +21,7 @@ TURN_FRAME = 102  # 3.4 s: the peak of the room's first fast turn
 
 
 def open_source(address):
-    """Shorten what every test begins with."""
+    """Open a synthetic address."""
     return SyntheticSource.from_address(f'synthetic:{address}')
 
 
@@ -48,13 +48,13 @@ def open_source(address):
     ],
 )
 def test_wrong_addresses_name_what_would_do(address, named):
-    """One clear error, before anything is rendered."""
+    """A wrong address is refused before anything is rendered."""
     with pytest.raises(SourceError, match=named):
         SyntheticSource.from_address(address)
 
 
 def test_address_sets_everything():
-    """Options arrive, defaults hold."""
+    """Options are parsed, the others have their defaults."""
     address = 'synthetic:zigzag?frames=7&seed=3&sensor=d435i&speed=2'
     source = SyntheticSource.from_address(address)
     assert source.name == address and len(source) == 7
@@ -84,7 +84,7 @@ def test_same_address_same_bytes(sensor):
 
 
 def photometric_error(source, frames, shift_px=0.0):
-    """Median grey-level difference of points of one frame, carried into another by the truth."""
+    """Return the median grey-level difference of points mapped between frames by the truth."""
     a, b = (source.render(k) for k in frames)
     camera, (T_world_a, T_world_b) = source.camera, source.groundtruth.T_world_cam[list(frames)]
     T_b_a = np.linalg.inv(T_world_b) @ T_world_a
@@ -122,8 +122,8 @@ def test_depth_is_taken_at_its_stamp_plus_the_offset(sensor):
     assert offset_ns != 0
     errors = []
     for stamp_ns in (frame.depth_stamp_ns + offset_ns, frame.depth_stamp_ns, frame.stamp_ns):
-        scene, pose = source._stage.scene, source.pose(stamp_ns)
-        true = cast(scene, build_textures(), source.camera, pose, colour=False).depth_m
+        scene, pose = source._scenario.scene, source.pose(stamp_ns)
+        true = cast(scene, build_textures(), source.camera, pose, color=False).depth_m
         valid = (frame.depth_m > 0) & (true > 0)
         errors.append(np.median(np.abs(frame.depth_m - true)[valid]))
     assert errors[0] < 0.9 * min(errors[1:])
@@ -157,7 +157,7 @@ def test_double_speed_doubles_the_path():
 @pytest.mark.slow
 @pytest.mark.parametrize('seed', range(5))
 def test_room_has_corners_depth_and_holes(seed):
-    """What a tracker lives on, and a third of stereo depth missing."""
+    """There is enough texture to track, and a third of stereo depth is missing."""
     source = open_source(f'room?seed={seed}&sensor=d435i&frames=1800')
     holes = []
     for index in range(40 * seed, 1800, 450):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""TUM folders that are written: what is read from them is what was given."""
+"""Written TUM folders: what is read from them is what was given."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sources import (  # type: ignore[import-not-found]
 )
 
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.datasets.described import open_described
+from dcgs_ros.datasets.custom import open_custom
 from dcgs_ros.datasets.tum.source import open_tum
 from dcgs_ros.datasets.tum.writer import write_tum_folder
 
@@ -38,7 +38,7 @@ def test_frames_camera_and_noise_come_back(tmp_path: Path, per_metre: float) -> 
     if per_metre == 1000.0:  # within 13 m
         frames = [replace(f, depth_m=np.where(f.depth_m > 13, 0, f.depth_m)) for f in frames]
     assert written(tmp_path / 'folder', MemorySource(frames)) == []
-    back = open_described(tmp_path / 'folder')
+    back = open_custom(tmp_path / 'folder')
     assert same_frames(list(back), frames)  # type: ignore[arg-type]
     assert (back.camera, back.sensor) == (CAMERA, SENSOR)
 
@@ -53,7 +53,7 @@ def test_what_16_bits_do_not_tell_is_counted(tmp_path: Path) -> None:
         'depth of 1 pixels was rounded to 0.2 mm',
         'depth of 2 pixels was beyond 13.11 m left out',
     ]
-    (back,) = open_described(tmp_path / 'folder')
+    (back,) = open_custom(tmp_path / 'folder')
     assert isinstance(back, RgbdFrame)
     assert back.depth_m[10, 2] == back.depth_m[11, 0] == 0
     error = np.abs(back.depth_m - depth_m)

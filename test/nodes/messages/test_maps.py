@@ -25,8 +25,9 @@ from dcgs_ros.core.config.nodes import MapperNodeSettings
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.splats import SH_C0, Splats
-from dcgs_ros.core.mapping.views import Images, KeyframeView
+from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.io.ros_images import MessageError, stamp_ns
 from dcgs_ros.nodes.mapping import outputs as module

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgs_ros.core.tracking.observability import Observability, observability
-from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.nodes.health import Level
 from dcgs_ros.nodes.tracking.health import Streams, judge, numbers, weakest_axis
 

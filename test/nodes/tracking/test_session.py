@@ -23,7 +23,7 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import Keyframe, MapUpdate
-from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is compressed in recordings: files, chunks or messages. No header is believed its sizes."""
+"""Compressed files, chunks and messages of recordings; sizes in headers are not trusted."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
@@ -21,9 +21,9 @@ _STEP = 1 << 20  # bytes
 
 @contextmanager
 def plain_file(path: Path) -> Iterator[Path]:
-    """Path to read: of the file itself, or of a temporary copy without its zstd.
+    """Return the path to read: of the file itself, or of a temporary decompressed copy.
 
-    Where the compressed data break off so does the copy.
+    If the compressed data are cut off, so is the copy.
     """
     if path.suffix != ZSTD_SUFFIX:
         yield path
@@ -35,33 +35,31 @@ def plain_file(path: Path) -> Iterator[Path]:
         copy = Path(folder, path.stem)
         with path.open('rb') as packed, copy.open('wb') as out:
             reader = zstandard.ZstdDecompressor().stream_reader(packed)
-            try:
+            with suppress(zstandard.ZstdError):  # the copy's reader finds its end missing
                 while (data := reader.read(_STEP)) and out.tell() < limit:
                     out.write(data)
-            except zstandard.ZstdError:
-                pass  # whoever reads the copy misses its end
         yield copy
 
 
 def size_limit(file: BinaryIO) -> int:
-    """Bytes that a part of a file may have in memory, whatever its header says."""
+    """Return how many bytes a record of the file may take in memory, whatever its header says."""
     return min(_MAX_LIMIT, max(_MIN_LIMIT, _MAX_RATIO * os.fstat(file.fileno()).st_size))
 
 
 def unpack(data: bytes) -> bytes:
-    """Undo the zstd of a message that was compressed by itself; raises `ValueError`."""
+    """Decompress a message that was compressed by itself, with zstd; raises `ValueError`."""
     return _unzstd(data, _MIN_LIMIT) if is_packed(data) else data
 
 
 def is_packed(data: bytes) -> bool:
-    """Tell whether a message was compressed by itself: CDR begins with a zero."""
+    """Return whether a message was compressed by itself, as CDR begins with a zero."""
     return data[:4] == _ZSTD_MAGIC
 
 
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:
-    """Undo a compression that MCAP knows; what is beyond `limit` bytes is cut off or refused.
+    """Decompress an MCAP chunk; raises `ValueError`.
 
-    Raises `ValueError`.
+    Data that give more than `limit` bytes are cut off (lz4) or refused (zstd).
     """
     if kind == '':
         return data
@@ -78,11 +76,10 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memor
 
 
 def _unzstd(data: bytes | memoryview, limit: int) -> bytes:
-    """Undo zstd."""
     import zstandard
 
     try:
-        size = zstandard.frame_content_size(data)  # negative where it is not told
+        size = zstandard.frame_content_size(data)  # negative if unknown
         if size > limit:
             raise ValueError(f'{size} bytes are compressed where at most {limit} can be')
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)

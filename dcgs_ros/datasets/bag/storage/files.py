@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The files a recording consists of, and what its metadata.yaml tells of them."""
+"""The files of a recording, and its metadata.yaml."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
 
@@ -21,33 +21,20 @@ _METADATA = 'metadata.yaml'
 _MAX_METADATA_BYTES = 1 << 22
 
 
-class RawMessage(NamedTuple):
-    """A message as it was on the wire."""
-
-    topic: str
-    type: str  # package/msg/Name
-    stamp_ns: int  # when it was recorded; its header has its own
-    cdr: bytes
-
-
-class DamagedError(SourceError):
-    """A part of a recording is lost; what was good has been read before this is raised."""
-
-
 @dataclass(frozen=True)
 class Recording:
-    """Files in the order they were recorded, and what is known of them."""
+    """The files in the order they were recorded, and what metadata.yaml says of them."""
 
     files: tuple[Path, ...]
-    missing: tuple[str, ...]  # files that metadata.yaml names and nobody has
-    counts: dict[str, int]  # messages of each topic, as metadata.yaml says
+    missing: tuple[str, ...]  # files in metadata.yaml that do not exist
+    counts: dict[str, int]  # messages of each topic, if known
     custom_data: dict[str, str]
 
 
 def is_bag(path: Path) -> bool:
-    """Whether the path is a recording, by names alone.
+    """Return whether the path is a recording, by file names alone.
 
-    That is a folder with a metadata.yaml, an .mcap or a .db3 in it, or an .mcap, .db3 or .bag.
+    That is a folder that holds a metadata.yaml, .mcap or .db3, or a file .mcap, .db3 or .bag.
     """
     if path.is_dir():
         return (path / _METADATA).exists() or bool(_storages(path))
@@ -55,12 +42,15 @@ def is_bag(path: Path) -> bool:
 
 
 def storage_of(path: Path) -> str:
-    """Tell the kind of a file from its name, `.zstd` aside."""
+    """Return the suffix of a file's name without `.zstd`: its kind of storage."""
     return Path(path.name.removesuffix(ZSTD_SUFFIX)).suffix
 
 
 def find_files(path: Path) -> Recording:
-    """Find the files of a recording; a bad metadata.yaml is as none. Raises `SourceError`."""
+    """Find the files of a recording; an unreadable metadata.yaml is ignored.
+
+    Raises `SourceError` if the path is no recording.
+    """
     if not is_bag(path):
         raise SourceError(
             f'{path}: no recording: no folder of .mcap or .db3, no .mcap, .db3, .bag'
@@ -85,7 +75,7 @@ def find_files(path: Path) -> Recording:
 
 
 def _storages(folder: Path) -> list[Path]:
-    """Files of rosbag2's storages in order of their names, numbers by their values."""
+    """Return the .mcap and .db3 files in natural order of their names."""
 
     def key(path: Path) -> list[tuple[int, str]]:
         parts = re.findall(r'\d+|\D+', path.name)
@@ -95,12 +85,12 @@ def _storages(folder: Path) -> list[Path]:
 
 
 def _read_metadata(path: Path) -> dict[str, Any]:
-    """Read what rosbag2 wrote on its recording; nothing where that is no such thing."""
+    """Read rosbag2's metadata.yaml; empty if it is missing or is something else."""
     try:
         if path.stat().st_size > _MAX_METADATA_BYTES:
             return {}
         content = yaml.safe_load(path.read_bytes())['rosbag2_bagfile_information']
-    except Exception:  # PyYAML raises more than its YAMLError
+    except Exception:  # PyYAML raises more than YAMLError
         return {}
     return content if isinstance(content, dict) else {}
 
@@ -117,7 +107,7 @@ def _custom_data(metadata: dict[str, Any]) -> dict[str, str]:
 
 
 def _message_counts(metadata: dict[str, Any]) -> dict[str, int]:
-    """Count the messages of each topic as the metadata do."""
+    """Return the number of messages of each topic; empty if the metadata are not understood."""
     try:
         counts = {
             entry['topic_metadata']['name']: entry['message_count']

@@ -1,38 +1,65 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Records of MCAP: https://mcap.dev/spec."""
+"""Records of MCAP files: https://mcap.dev/spec."""
 
 from __future__ import annotations
 
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from .compression import decompress
 
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 2, 3, 4, 5, 6, 7
 CHUNK_INDEX, STATISTICS = 8, 11
-RECORD = struct.Struct('<BQ')  # opcode, length of what follows
+RECORD = struct.Struct('<BQ')  # opcode, length of the body
 MESSAGE_HEAD = struct.Struct('<HIQQ')  # channel, sequence, logged and published in ns
 CHUNK_HEAD = struct.Struct('<QQQI')  # first and last message in ns, size, CRC
-PLAIN_HEAD = struct.Struct('<QQQIIQ')  # the same, no name of a compression, length of what follows
-END = struct.Struct('<BQQQI8s')  # the footer and the magic behind it
-COUNTS_AT = 42  # in the statistics
+PLAIN_HEAD = struct.Struct('<QQQIIQ')  # the same, an empty compression name, length of the content
+COUNTS_AT = 42  # byte, in the statistics
+
+
+class CutOffError(Exception):
+    """The records end, or make no sense, before the footer."""
+
+    def __init__(self, at: int) -> None:
+        """Keep the byte from which they cannot be followed."""
+        super().__init__(at)
+        self.at = at
 
 
 class Block(NamedTuple):
     """A chunk, or a message outside of chunks."""
 
     start_ns: int
-    at: int  # byte in the file
+    at: int  # byte in the file, of the record's body
     length: int
     opcode: int
 
 
+def walk_records(file: BinaryIO, at: int, size: int) -> Iterator[tuple[int, int, int]]:
+    """Read opcode, and first byte and length of the body, of each record from `at` to the footer.
+
+    The file is left at the body's first byte. Raises `CutOffError` if a record does not fit into
+    the file's `size`, or there is no footer.
+    """
+    while at + RECORD.size <= size:
+        file.seek(at)
+        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        if opcode == FOOTER:
+            return
+        if opcode == 0 or length > size - at - RECORD.size:
+            break
+        at += RECORD.size
+        yield opcode, at, length
+        at += length
+    raise CutOffError(at)
+
+
 def split_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Split a chunk's content; raises `ValueError`."""
+    """Split a chunk's content into opcodes and bodies; raises `ValueError`."""
     at = 0
     while at < len(data):
         opcode, length = RECORD.unpack_from(data, at)
@@ -44,7 +71,7 @@ def split_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def open_chunk(body: memoryview, limit: int) -> memoryview:
-    """Content of a chunk, decompressed and checked; raises `ValueError`."""
+    """Return the content of a chunk, decompressed and checked; raises `ValueError`."""
     _, _, size, crc = CHUNK_HEAD.unpack_from(body)
     compression, at = read_text(body, CHUNK_HEAD.size)
     (length,) = struct.unpack_from('<Q', body, at)
@@ -59,7 +86,7 @@ def open_chunk(body: memoryview, limit: int) -> memoryview:
 
 
 def read_text(body: memoryview, at: int) -> tuple[str, int]:
-    """Read a string with its length before it, and where it ends."""
+    """Return the string at byte `at`, after its length, and where it ends."""
     (length,) = struct.unpack_from('<I', body, at)
     end = at + 4 + length
     if end > len(body):

@@ -1,39 +1,40 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""SQLite files of rosbag2, whole or damaged.
+"""Reading SQLite files of rosbag2.
 
-Rows are looked up one by one, in the order of an index made first, so a bad page costs its rows
-and no sort moves images about.
+Messages are looked up one by one, in the order of an index that is read first: no sort moves
+images in memory, and a damaged page costs only the messages on it.
 """
 
 from __future__ import annotations
 
 import sqlite3
-import struct
 from collections.abc import Collection, Iterator
 from contextlib import closing
 from pathlib import Path
 
 from ...source import SourceError
+from ..messages import RawMessage
+from ..recovery.losses import skipping
+from ..recovery.sqlite import add_without_index, note_cut_off, open_without_wal
 from .compression import unpack
-from .files import RawMessage
 
 _BUSY_S = 1.0
-# Views, virtual tables and columns that are computed would run what a stranger wrote.
+# A recording is not trusted: its views, virtual tables and computed columns would run queries.
 _TABLES = (
     "SELECT count(*) FROM sqlite_master AS t WHERE type = 'table' AND sql LIKE 'CREATE TABLE%' "
     "AND name IN ('topics', 'messages') "
     'AND NOT EXISTS (SELECT 1 FROM pragma_table_xinfo(t.name) WHERE hidden)'
 )
-_HEADER_BYTES = 100  # https://www.sqlite.org/fileformat.html, 1.3
 
 
 def read_sqlite(
     path: Path, topics: Collection[str] | None, losses: list[str]
 ) -> Iterator[RawMessage]:
-    """Read messages of those topics, or all, in order of their stamps; tell what is lost.
+    """Read the messages of those topics, or all, in order of their stamps.
 
-    Raises `SourceError` for what is no recording at all.
+    What is damaged is skipped and appended to `losses`. Raises `SourceError` if the file is no
+    recording at all.
     """
     with closing(_open(path, losses)) as db:
         names = _topics(db, losses)
@@ -42,26 +43,20 @@ def read_sqlite(
             'SELECT topic_id, data FROM messages WHERE id = ? '
             f'AND (topic_id IN ({",".join("?" * len(wanted))}))'
         )
-        failures: list[str] = []
         for row, stamp_ns in _rows(db, losses):
             try:
                 found = db.execute(query, (row, *wanted)).fetchone()
                 if found is None:
                     continue
-                topic, type_ = names[found[0]]
-                data = found[1]
-                if not isinstance(data, bytes):
-                    raise ValueError(f'its data are {type(data).__name__}')
-                cdr = unpack(data)
+                message = _message(names, stamp_ns, *found)
             except (sqlite3.Error, ValueError, LookupError, MemoryError) as error:
-                failures.append(f'message {row}: {error}')
+                losses.append(f'message {row}: {error}')
                 continue
-            yield RawMessage(topic, type_, stamp_ns, cdr)
-        losses += failures
+            yield message
 
 
 def sqlite_types(path: Path) -> dict[str, str] | None:
-    """Types of the topics that hold messages, if the file is whole enough to tell."""
+    """Return the types of the topics that hold messages; None if the file is damaged."""
     losses: list[str] = []
     try:
         with closing(_open(path, losses)) as db:
@@ -74,71 +69,63 @@ def sqlite_types(path: Path) -> dict[str, str] | None:
 
 
 def _open(path: Path, losses: list[str]) -> sqlite3.Connection:
-    """Open for reading, together with what a writer has not yet merged (its -wal)."""
-    reason: sqlite3.Error | None = None
-    for mode in ('mode=ro', 'immutable=1'):  # the latter where locks or the -wal are in the way
-        db = sqlite3.connect(
-            f'{path.resolve().as_uri()}?{mode}', _BUSY_S, uri=True, check_same_thread=False
-        )
-        db.text_factory = lambda text: text.decode(errors='replace')
-        try:
-            db.execute('PRAGMA writable_schema = ON')  # else a file cut off is refused
-            db.execute('PRAGMA trusted_schema = OFF')
-            tables = db.execute(_TABLES).fetchone()[0]
-        except sqlite3.Error as error:
-            db.close()
-            reason = error
-            continue
+    """Open for reading, together with what a writer has not merged yet (the file's -wal)."""
+    try:
+        db = _connect(path, 'mode=ro')
+    except sqlite3.Error as error:
+        db = open_without_wal(path, _connect, error, losses)
+    note_cut_off(path, losses)
+    return db
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Connect and check the tables; raises `sqlite3.Error`, or `SourceError` for other tables."""
+    uri = f'{path.resolve().as_uri()}?{mode}'
+    db = sqlite3.connect(uri, _BUSY_S, uri=True, check_same_thread=False)
+    db.text_factory = lambda text: text.decode(errors='replace')
+    try:
+        db.execute('PRAGMA writable_schema = ON')  # else SQLite refuses a file that is cut off
+        db.execute('PRAGMA trusted_schema = OFF')
+        tables = db.execute(_TABLES).fetchone()[0]
         if tables != 2:
-            db.close()
             raise SourceError(f'no recording: it has {tables} of the 2 tables')
-        if reason is not None:
-            losses.append(f'what is not yet merged into it is left out: {reason}')
-        if (cut := _cut_off(path)) is not None:
-            losses.append(cut)
-        return db
-    raise SourceError(f'no SQLite file that can be read: {reason}')
-
-
-def _cut_off(path: Path) -> str | None:
-    """Say by how much the file is shorter than its header says."""
-    with path.open('rb') as file:
-        header = file.read(_HEADER_BYTES)
-    if len(header) < _HEADER_BYTES:
-        return None
-    (page,) = struct.unpack_from('>H', header, 16)
-    changes, pages = struct.unpack_from('>II', header, 24)
-    (valid,) = struct.unpack_from('>I', header, 92)  # the change that `pages` belongs to
-    expected = pages * (65536 if page == 1 else page)
-    size = path.stat().st_size
-    if changes != valid or size >= expected:
-        return None
-    return f'cut off at {size} of {expected} bytes'
+    except (sqlite3.Error, SourceError):
+        db.close()
+        raise
+    return db
 
 
 def _topics(db: sqlite3.Connection, losses: list[str]) -> dict[int, tuple[str, str]]:
-    """Name and type of each topic, by its key."""
+    """Return name and type of each topic, by its key."""
     names = {}
-    try:
+    with skipping(losses, 'its topics', sqlite3.Error):
         for key, name, type_ in db.execute('SELECT id, name, type FROM topics'):
             names[key] = str(name), str(type_)
-    except sqlite3.Error as error:
-        losses.append(f'its topics: {error}')
     return names
 
 
 def _rows(db: sqlite3.Connection, losses: list[str]) -> list[tuple[int, int]]:
-    """Keys and stamps in ns of the messages, by stamp: from the index, else from the table."""
+    """Return keys and stamps in ns of the messages, by stamp."""
     stamps: dict[int, int] = {}
-    for query in (
-        'SELECT id, timestamp FROM messages ORDER BY timestamp',
-        'SELECT id, timestamp FROM messages NOT INDEXED',
-    ):
-        try:
-            for row, stamp_ns in db.execute(query):
-                if isinstance(row, int) and isinstance(stamp_ns, int):
-                    stamps[row] = stamp_ns
-            break
-        except sqlite3.Error as error:
-            losses.append(f'its list of messages ends after {len(stamps)}: {error}')
+    try:
+        _add_rows(db, 'ORDER BY timestamp', stamps)  # for which SQLite reads only an index
+    except sqlite3.Error as error:
+        add_without_index(db, _add_rows, stamps, error, losses)
     return sorted(stamps.items(), key=lambda item: item[1])
+
+
+def _add_rows(db: sqlite3.Connection, clause: str, stamps: dict[int, int]) -> None:
+    """Add the messages' stamps in ns by their keys; raises `sqlite3.Error` after the good ones."""
+    for row, stamp_ns in db.execute(f'SELECT id, timestamp FROM messages {clause}'):
+        if isinstance(row, int) and isinstance(stamp_ns, int):
+            stamps[row] = stamp_ns
+
+
+def _message(
+    names: dict[int, tuple[str, str]], stamp_ns: int, topic_id: int, data: object
+) -> RawMessage:
+    """Return the message of a row; raises `LookupError` or `ValueError`."""
+    topic, type_ = names[topic_id]
+    if not isinstance(data, bytes):
+        raise ValueError(f'its data are {type(data).__name__}')
+    return RawMessage(topic, type_, stamp_ns, unpack(data))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""ROS 2 messages on the wire, without ROS: poses, inertial samples, where the camera is.
+"""Encoding ROS 2 messages without ROS: poses, IMU samples, the camera's static transform.
 
 Topics and frames are those of realsense2_camera.
 """
@@ -19,44 +19,45 @@ from ....core.trajectory import Trajectory
 from ....io.trajectory import format_stamp_ns
 from ...source import ImuSample
 from ..messages import RawMessage, message_types
-from ..survey import GROUNDTRUTH_TOPIC
+from ..topics import GROUNDTRUTH_TOPIC, STATIC_TOPIC
 
 CAMERA = '/camera/camera'
 OPTICAL_FRAME = 'camera_color_optical_frame'
-STATIC_TOPIC = '/tf_static'
 
-_S = 1_000_000_000  # ns
+_NS_PER_S = 1_000_000_000
 # REP 103: the optical frame has z forward and x right, the link x forward and z up.
 _QUAT_WXYZ_LINK_OPTICAL = np.array([0.5, -0.5, 0.5, -0.5])
-_UNKNOWN = np.array([-1.0, *[0.0] * 8])  # a covariance that says that there is no value
+_UNKNOWN = np.array([-1.0, *[0.0] * 8])  # a covariance that declares the value unknown
 
 
 class EncodingError(DcgsError):
-    """Something that no message can carry."""
+    """A value that no message can hold."""
 
 
 def make(name: str, *values: Any, **named: Any) -> Any:
-    """Message or part of one from its fields; `name` is package/Name."""
+    """Return a message, or a part of one, with these fields; `name` is package/Name."""
     return message_types().types[name.replace('/', '/msg/')](*values, **named)
 
 
 def header(stamp_ns: int, frame: str) -> Any:
-    """Header to the nanosecond; raises `EncodingError` where its 32 bits of seconds end."""
-    if not 0 <= stamp_ns < 2**31 * _S:
+    """Return a header; raises `EncodingError` if the seconds do not fit its 32 bits."""
+    if not 0 <= stamp_ns < 2**31 * _NS_PER_S:
         raise EncodingError(
             f'stamp {format_stamp_ns(stamp_ns)} s: a message has 0 to {2**31 - 1} seconds'
         )
-    return make('std_msgs/Header', make('builtin_interfaces/Time', *divmod(stamp_ns, _S)), frame)
+    return make(
+        'std_msgs/Header', make('builtin_interfaces/Time', *divmod(stamp_ns, _NS_PER_S)), frame
+    )
 
 
 def on_topic(topic: str, stamp_ns: int, message: Any) -> RawMessage:
-    """Message as it is on the wire, recorded at its stamp."""
+    """Return the serialised message, recorded at its stamp."""
     name = message.__msgtype__
     return RawMessage(topic, name, stamp_ns, bytes(message_types().serialize_cdr(message, name)))
 
 
 def encode_link(stamp_ns: int) -> RawMessage:
-    """Where the optical frame is on camera_link, for good."""
+    """Return the static transform from camera_link to the optical frame."""
     rotation = _quaternion(_QUAT_WXYZ_LINK_OPTICAL)
     transform = make('geometry_msgs/Transform', _vector('Vector3', (0.0, 0.0, 0.0)), rotation)
     stamped = make(
@@ -66,7 +67,7 @@ def encode_link(stamp_ns: int) -> RawMessage:
 
 
 def encode_truth(truth: Trajectory, start_ns: int) -> Iterator[RawMessage]:
-    """Poses T_world_cam of the optical frame since `start_ns` as PoseStamped in frame 'world'."""
+    """Encode the poses of the optical frame since `start_ns`, as PoseStamped in frame 'world'."""
     since = truth.stamps_ns >= start_ns
     T_world_cam = truth.T_world_cam[since]
     rotations = se3.to_quaternion(T_world_cam)
@@ -79,7 +80,7 @@ def encode_truth(truth: Trajectory, start_ns: int) -> Iterator[RawMessage]:
 
 
 def encode_imu(sample: ImuSample) -> RawMessage:
-    """Both quantities on imu, one alone on accel/sample or gyro/sample (m/s^2, rad/s)."""
+    """Return an Imu on topic imu, or with one quantity on accel/sample or gyro/sample."""
     rate, acceleration = sample.angular_velocity, sample.acceleration
     topic = 'imu' if rate and acceleration else 'gyro/sample' if rate else 'accel/sample'
     values = [_quaternion((1.0, 0.0, 0.0, 0.0)), _UNKNOWN]
@@ -91,10 +92,10 @@ def encode_imu(sample: ImuSample) -> RawMessage:
     return on_topic(f'{CAMERA}/{topic}', sample.stamp_ns, message)
 
 
-def _vector(name: str, xyz: NDArray | tuple[float, float, float]) -> Any:
+def _vector(name: str, xyz: NDArray[np.float64] | tuple[float, float, float]) -> Any:
     return make(f'geometry_msgs/{name}', *(float(value) for value in xyz))
 
 
-def _quaternion(quat_wxyz: NDArray | tuple[float, float, float, float]) -> Any:
+def _quaternion(quat_wxyz: NDArray[np.float64] | tuple[float, float, float, float]) -> Any:
     w, x, y, z = (float(value) for value in quat_wxyz)
     return make('geometry_msgs/Quaternion', x, y, z, w)

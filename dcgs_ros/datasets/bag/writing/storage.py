@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The files of a rosbag2, as `ros2 bag play` takes them; rosbags writes them without ROS."""
+"""The files of a rosbag2, as `ros2 bag play` reads them, written by rosbags without ROS."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ....core.errors import DcgsError
 from ..messages import RawMessage, message_types
-from .encoding import STATIC_TOPIC
+from ..topics import STATIC_TOPIC
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Qos
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 STORAGES = ('mcap', 'sqlite3')
 
-_FOREVER = 9223372036, 854775807  # s, ns: what ROS 2 takes for no limit
+_FOREVER = 9223372036, 854775807  # s, ns: ROS 2's value for no limit
 
 
 class BagWritingError(DcgsError):
@@ -30,7 +30,7 @@ class BagWritingError(DcgsError):
 
 @dataclass(frozen=True)
 class BagOptions:
-    """How a recording is kept."""
+    """How a recording is stored."""
 
     storage: str = 'mcap'  # one of `STORAGES`
     compress: bool = False  # colour as JPEG, depth as PNG of whole millimetres
@@ -38,8 +38,8 @@ class BagOptions:
 
 
 @contextmanager
-def writing(folder: Path, options: BagOptions) -> Iterator[Writer]:
-    """Open a recording for writing; what a database stumbles over becomes a `BagWritingError`."""
+def open_writer(folder: Path, options: BagOptions) -> Iterator[Writer]:
+    """Open a new recording; raises `BagWritingError`, also for errors while writing."""
     try:
         from rosbags.rosbag2 import (
             CompressionFormat,
@@ -50,10 +50,10 @@ def writing(folder: Path, options: BagOptions) -> Iterator[Writer]:
         )
     except ImportError as error:
         raise BagWritingError(
-            f"to write a rosbag2 takes rosbags: pip install 'dcgs_ros[bags]' ({error})"
+            f"writing a rosbag2 needs rosbags: pip install 'dcgs_ros[bags]' ({error})"
         ) from error
     plugin = StoragePlugin[options.storage.upper()]
-    # Only an mcap has chunks; both ways are played and read without unpacking the whole first.
+    # Of these modes neither makes a reader decompress the whole file first; only mcap has chunks.
     mode = CompressionMode.STORAGE if plugin is StoragePlugin.MCAP else CompressionMode.MESSAGE
     writer = Writer(folder, version=9, storage_plugin=plugin)
     if options.zstd:
@@ -65,8 +65,8 @@ def writing(folder: Path, options: BagOptions) -> Iterator[Writer]:
         raise BagWritingError(f'{folder.name}: cannot be written: {error}') from error
 
 
-def on_connections(writer: Writer) -> Callable[[RawMessage], None]:
-    """Write messages; a topic is announced with its first one."""
+def message_writer(writer: Writer) -> Callable[[RawMessage], None]:
+    """Return a function that writes a message, and its topic's connection before the first one."""
     connections: dict[str, Any] = {}
 
     def write(message: RawMessage) -> None:
@@ -81,7 +81,7 @@ def on_connections(writer: Writer) -> Callable[[RawMessage], None]:
 
 
 def _qos(topic: str) -> Qos:
-    """Reliable, and for the static transform latched: what `ros2 bag play` then offers."""
+    """Return the QoS that `ros2 bag play` offers: reliable, latched for the static transform."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A sequence as a rosbag2 that `ros2 bag play` plays like the camera that made it.
+"""Writing a sequence as a rosbag2, which `ros2 bag play` plays as the camera published it.
 
-A message is recorded at its stamp, and messages are written in that order.
+Each message is recorded at its stamp, and messages are written in that order.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from ...source import Source
 from ..camera import SENSOR_KEY
 from ..messages import RawMessage
 from .encoding import encode_imu, encode_link, encode_truth
-from .frames import FrameEncoder
-from .storage import BagOptions, on_connections, writing
+from .frame_encoder import FrameEncoder
+from .storage import BagOptions, message_writer, open_writer
 
-_MARGIN_NS = 100_000_000  # poses and inertial samples so long before and after the frames are kept
+_MARGIN_NS = 100_000_000  # before and after the frames, in which poses and IMU samples are kept
 
 
 def write_bag(
     folder: Path, source: Source, frames: Iterable[RgbdFrame], options: BagOptions
 ) -> list[str]:
-    """Write these frames of the source into a new folder, with its poses and inertial samples.
+    """Write these frames of the source to a new folder, with the source's poses and IMU samples.
 
-    Of those only what was measured while the frames were. Returns what was lost, a line each.
-    Raises `BagWritingError`, and `EncodingError` for a stamp that no message can have.
+    Of poses and samples only those within the time of the frames. Returns what was lost, one line
+    each. Raises `BagWritingError`, or `EncodingError` for a stamp that messages cannot hold.
     """
     encoder = FrameEncoder(source.camera, options.compress)
-    with writing(folder, options) as writer:
+    with open_writer(folder, options) as writer:
         writer.set_custom_data(SENSOR_KEY, json.dumps(asdict(source.sensor)))
-        write = on_connections(writer)
+        write = message_writer(writer)
         for message in _messages(source, _in_order(frames, encoder.messages)):
             write(message)
     if not encoder.rounded:
@@ -46,7 +46,7 @@ def write_bag(
 
 
 def _messages(source: Source, frames: Iterator[RawMessage]) -> Iterator[RawMessage]:
-    """All messages by stamp; `frames` are those of the frames."""
+    """Merge the messages of the frames with all others, by stamp."""
     first = next(frames, None)
     if first is None:
         return
@@ -61,7 +61,7 @@ def _messages(source: Source, frames: Iterator[RawMessage]) -> Iterator[RawMessa
 def _in_order(
     frames: Iterable[RgbdFrame], encode: Callable[[RgbdFrame], Iterator[RawMessage]]
 ) -> Iterator[RawMessage]:
-    """Messages of frames by stamp: depth may be as much as a pair's gap before or after colour."""
+    """Sort the messages of frames by stamp: depth may precede or follow colour by a pair's gap."""
     waiting: list[tuple[int, int, RawMessage]] = []
     tie = count()
     for frame in frames:
@@ -74,7 +74,7 @@ def _in_order(
 
 
 def _merged(frames: Iterator[RawMessage], beside: Iterator[RawMessage]) -> Iterator[RawMessage]:
-    """Both by stamp, until soon after the last of `frames`."""
+    """Merge both by stamp, until `_MARGIN_NS` after the last of `frames`."""
     other = next(beside, None)
     end_ns = 0
     for message in frames:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings that are written: what is read from them is what was given, whoever reads."""
+"""Written recordings: what any reader reads from them is what was given."""
 
 from __future__ import annotations
 

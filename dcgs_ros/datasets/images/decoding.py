@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Images as datasets store them, decoded; what is damaged is refused rather than filled in."""
+"""Decoding of PNG and JPEG images; damaged ones are refused rather than filled in."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,30 +15,30 @@ from numpy.typing import NDArray
 from ...core.errors import FrameError
 
 _COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-_MAX_PIXELS = 2**25  # 8192 x 4096: more is a number that went wrong
+_MAX_PIXELS = 2**25  # 8192 x 4096: a larger size is a corrupt number
 _PNG, _JPEG, _END_OF_JPEG = b'\x89PNG\r\n\x1a\n', b'\xff\xd8', b'\xff\xd9'
-# Segments C0 to CF tell the size, but for the tables of Huffman and arithmetic codes, and JPG.
+# Segments C0 to CF hold the size, except the tables of Huffman and arithmetic codes, and JPG.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def read_color_file(folder: Path, path: str) -> NDArray[np.uint8]:
-    """Colour (H, W, 3) RGB of a PNG or JPEG; raises `FrameError` naming it and saying why not."""
+    """Read colour (H, W, 3) RGB from a PNG or JPEG; raises `FrameError` naming it."""
     return decode_color(_read(folder, path), path)
 
 
 def read_depth_file(folder: Path, path: str) -> NDArray[np.uint16]:
-    """Raw depth (H, W) of a PNG of 16 bits; raises `FrameError` naming it and saying why not."""
+    """Read raw depth (H, W) from a 16-bit PNG; raises `FrameError` naming it."""
     return decode_depth(_read(folder, path), path)
 
 
 def decode_color(data: bytes, name: str) -> NDArray[np.uint8]:
-    """Colour (H, W, 3) RGB of a file's bytes; raises `FrameError` with `name`."""
+    """Decode a PNG's or JPEG's bytes to colour (H, W, 3) RGB; raises `FrameError` with `name`."""
     color: NDArray[np.uint8] = cv2.cvtColor(_decode(data, name, _COLOR), cv2.COLOR_BGR2RGB)
     return color
 
 
 def decode_depth(data: bytes, name: str) -> NDArray[np.uint16]:
-    """Raw depth (H, W) of the bytes of a PNG of 16 bits; raises `FrameError` with `name`."""
+    """Decode the bytes of a 16-bit PNG to raw depth (H, W); raises `FrameError` with `name`."""
     depth = _decode(data, name, cv2.IMREAD_UNCHANGED)
     if depth.dtype != np.uint16 or depth.ndim != 2:
         channels = 1 if depth.ndim == 2 else depth.shape[2]
@@ -48,9 +49,10 @@ def decode_depth(data: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def encoded_size(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height that a PNG or JPEG tells, which a decoder would allocate at once.
+    """Return the width and height in the header of a PNG or JPEG, without decoding it.
 
-    Raises `FrameError` with `name` for anything else, and for one that is cut off.
+    Decoders allocate by this size, so it is checked first. Raises `FrameError` with `name` for
+    anything else, and for a file that is cut off.
     """
     try:
         if data.startswith(_PNG):
@@ -63,7 +65,7 @@ def encoded_size(data: bytes, name: str) -> tuple[int, int]:
 
 
 def _png_size(data: bytes) -> tuple[int, int]:
-    """Go from chunk to chunk, as decoders allocate what one claims; raises `struct.error`."""
+    """Walk all chunks, as decoders allocate the length a chunk claims; raises `struct.error`."""
     at, kind = len(_PNG), b''
     while kind != b'IEND':
         length, kind = struct.unpack_from('>I4s', data, at)
@@ -75,7 +77,7 @@ def _png_size(data: bytes) -> tuple[int, int]:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Go from segment to segment until one tells the size; raises `struct.error`."""
+    """Walk the segments up to the one with the size; raises `struct.error`."""
     at = 2
     while True:
         mark, kind, length = struct.unpack_from('>BBH', data, at)
@@ -84,7 +86,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
         if kind in _JPEG_FRAMES:
             height, width = struct.unpack_from('>HH', data, at + 5)
             return width, height
-        at += 1 if kind == 0xFF else 2 + length  # marks may be padded with 0xFF
+        at += 1 if kind == 0xFF else 2 + length  # markers may be padded with 0xFF
 
 
 def _read(folder: Path, path: str) -> bytes:
@@ -94,11 +96,11 @@ def _read(folder: Path, path: str) -> bytes:
         raise FrameError(f'{path}: {error.strerror}') from error
 
 
-def _decode(data: bytes, name: str, flags: int) -> NDArray:
+def _decode(data: bytes, name: str, flags: int) -> NDArray[Any]:
     width, height = encoded_size(data, name)
     if not 0 < width * height <= _MAX_PIXELS:
-        raise FrameError(f'{name}: no image has {width}x{height} pixels')
-    # A decoder would fill what is missing with grey.
+        raise FrameError(f'{name}: {width}x{height} pixels is not a plausible image size')
+    # OpenCV fills the missing part of a JPEG with grey.
     if data.startswith(_JPEG) and _END_OF_JPEG not in data[-4096:]:
         raise FrameError(f'{name} is cut off after {len(data)} bytes')
     try:
@@ -106,5 +108,5 @@ def _decode(data: bytes, name: str, flags: int) -> NDArray:
     except cv2.error:
         image = None
     if image is None:
-        raise FrameError(f'{name} ({len(data)} bytes) is no image that can be decoded')
+        raise FrameError(f'{name} ({len(data)} bytes) cannot be decoded as an image')
     return image

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Images that patterns of file names find, paired by their order or by the names themselves."""
+"""Images found by patterns of file names, paired by their order or by stamps in the names."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from pathlib import Path, PurePosixPath
 
 from ...io.trajectory import format_stamp_ns, parse_stamp_ns
 from ..source import SourceError
-from ..tum.index import pair_images
-from .association import Entry, StampPair
-from .indexed_frames import stamp_of
+from .association import StampedPath, StampPair, pair_images
+from .indexed_frames import stamp_of_index
 
 
 def pair_by_order(folder: Path, color: str, depth: str, rate_hz: Fraction) -> list[StampPair]:
-    """Pair what two patterns find, in the order of the names; frame i is at i / rate seconds.
+    """Pair the images that two patterns find in the order of names; frame i is at i / rate s.
 
-    Raises `SourceError` where one finds nothing, or the other another number of images.
+    Raises `SourceError` if a pattern finds nothing, or they find different numbers of images.
     """
     colors, depths = find_images(folder, color), find_images(folder, depth)
     if len(colors) != len(depths):
         raise SourceError(
-            f'{folder}: {color} finds {len(colors)} images, {depth} {len(depths)}: in order, '
-            'they pair only if they are equally many'
+            f'{folder}: {color} finds {len(colors)} images, {depth} {len(depths)}: images can be '
+            'paired by order only if their numbers are equal'
         )
-    stamps = (stamp_of(number, rate_hz) for number in range(len(colors)))
+    stamps = (stamp_of_index(index, rate_hz) for index in range(len(colors)))
     return [
-        StampPair(Entry(stamp, first), Entry(stamp, second))
+        StampPair(StampedPath(stamp, first), StampedPath(stamp, second))
         for stamp, first, second in zip(stamps, colors, depths, strict=True)
     ]
 
 
 def pair_by_name(folder: Path, color: str, depth: str) -> list[StampPair]:
-    """Pair what two patterns find by the stamps, seconds, that the names are without suffix.
+    """Pair the images that two patterns find by their stamps: names without suffix, in seconds.
 
-    Raises `SourceError` naming the file whose name is no stamp, or saying how far apart in time
-    colour and depth are.
+    Raises `SourceError` naming a file whose name is not a stamp, or with the gap in time between
+    colour and depth.
     """
     return pair_images(folder, _stamped(folder, color), _stamped(folder, depth))
 
 
 def find_images(folder: Path, pattern: str) -> list[str]:
-    """Paths, relative to the folder, that match the pattern, in natural order: 2.png, 10.png.
+    """Return the paths that match the pattern, in natural order: 2.png before 10.png.
 
-    Only the pattern's last part has wildcards. Raises `SourceError` where there is none.
+    Paths are relative to the folder. Only the last part of the pattern may have wildcards. Raises
+    `SourceError` if nothing matches.
     """
     within, name = os.path.split(pattern)
     try:
@@ -61,22 +61,22 @@ def find_images(folder: Path, pattern: str) -> list[str]:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """Sort digits by their value: words and numbers alternate."""
+    """Return a sort key that compares runs of digits by value."""
     parts = re.split('([0-9]+)', name)
     return [(int(part), part) if k % 2 else (0, part) for k, part in enumerate(parts)]
 
 
-def _stamped(folder: Path, pattern: str) -> list[Entry]:
-    entries = []
+def _stamped(folder: Path, pattern: str) -> list[StampedPath]:
+    images = []
     for path in find_images(folder, pattern):
         try:
-            entries.append(Entry(parse_stamp_ns(PurePosixPath(path).stem), path))
+            images.append(StampedPath(parse_stamp_ns(PurePosixPath(path).stem), path))
         except ValueError as error:
             raise SourceError(f'{folder / path}: {error}') from None
-    entries.sort()
-    for before, after in pairwise(entries):
+    images.sort()
+    for before, after in pairwise(images):
         if before.stamp_ns == after.stamp_ns:
             raise SourceError(
                 f'{folder / after.path}: stamp {format_stamp_ns(after.stamp_ns)} a second time'
             )
-    return entries
+    return images

@@ -36,15 +36,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Writer1
 
-from dcgs_ros.datasets.bag.messages import (
-    DamagedError,
-    RawMessage,
-    custom_data,
-    decode,
-    is_bag,
-    raw_messages,
-    topic_types,
-)
+from dcgs_ros.datasets.bag.messages import RawMessage, decode
+from dcgs_ros.datasets.bag.recording import custom_data, raw_messages, topic_types
+from dcgs_ros.datasets.bag.recovery.losses import DamagedError
+from dcgs_ros.datasets.bag.storage.files import is_bag
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.io.ros_images import MessageError
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Folders that a small file in them, `dcgs.yaml`, describes: anybody's own recordings."""
+"""Custom datasets: folders of images that a file in them, `dcgs.yaml`, describes."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..core.camera import PinholeCamera
 from ..core.sensor import SensorError, SensorNoise
 from ..io.trajectory import read_tum
 from ..io.whole_files import replacing
-from .camera_files import camera_of, chosen_camera, depth_unit_of, number_of, shown
-from .cameras import PRESETS, CameraPreset
-from .images.association import StampPair
-from .images.named import pair_by_name, pair_by_order
+from .camera_presets import PRESETS, CameraPreset
+from .images.association import StampPair, pair_images
+from .images.file_patterns import pair_by_name, pair_by_order
 from .images.sequence import ImageSequence
-from .poses import read_text
+from .parsing.intrinsics import camera_from_fields, choose_camera
+from .parsing.text_files import depth_unit_at, number_at, read_text, shown
 from .source import SourceError
-from .tum.index import check_inside, pair_images, read_index
+from .tum.index import check_inside, read_index
 
 FILE = 'dcgs.yaml'
-LAYOUT = f'{FILE} and the images it tells of (described in docs/datasets.md)'
+LAYOUT = f'{FILE} and the images it names (see docs/datasets.md)'
 
 _CAMERA_KEYS = ('width', 'height', 'fx', 'fy', 'cx', 'cy')
 _SENSOR_KEYS = tuple(field.name for field in dataclasses.fields(SensorNoise))
@@ -35,28 +35,28 @@ _KEYS = (
     *('depth_per_metre', 'sensor', 'groundtruth'),
 )
 _MAX_BYTES = 2**16
-# Besides YAML's own errors: what PyYAML's constructors let through for tags with odd values.
-_NO_YAML = (
+# YAML's own errors, and those that PyYAML's constructors let through for tags with odd values.
+_YAML_ERRORS = (
     *(yaml.YAMLError, ValueError, TypeError, ArithmeticError, LookupError),
     *(AttributeError, RecursionError),
 )
 
 
-def is_described(path: Path) -> bool:
-    """Tell whether the path is such a folder."""
+def is_custom(path: Path) -> bool:
+    """Return whether the path is a folder with a `dcgs.yaml`."""
     return (path / FILE).is_file()
 
 
-def open_described(
+def open_custom(
     path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
 ) -> ImageSequence:
-    """Open a folder as its `dcgs.yaml` says.
+    """Open a folder as its `dcgs.yaml` describes it.
 
     `camera: PRESET` or `{width, height, fx, fy, cx, cy, distortion: [...]}`; `color`, `depth`:
     either index files (`.txt`, as TUM's rgb.txt), or patterns of file names (`rgb/*.png`) with
     `rate_hz: 30` (paired in order) or `stamps: names` (the names are seconds);
-    `depth_per_metre`, which a preset has; optionally `sensor: {a_m, b_per_m, depth_min_m,
-    depth_max_m}` and `groundtruth`, a TUM trajectory. The arguments go before the file.
+    `depth_per_metre`, optional with a preset; optionally `sensor: {a_m, b_per_m, depth_min_m,
+    depth_max_m}` and `groundtruth`, a TUM trajectory. The arguments override the file.
 
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the key or line.
     """
@@ -70,17 +70,17 @@ def open_described(
             groundtruth = folder / _path_at(tree, 'groundtruth')
     except (ValueError, SensorError) as error:
         raise SourceError(f'{file}: {error}') from None
-    chosen = chosen_camera(camera, own, folder, pairs)
+    chosen = choose_camera(camera, own, folder, pairs)
     truth = None if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.of(folder, pairs, chosen, truth)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth)
 
 
 def write_description(
     folder: Path, camera: PinholeCamera, sensor: SensorNoise, depth_per_metre: float
 ) -> None:
-    """Describe a folder in TUM's layout; `open_described` then has exactly these values.
+    """Write the `dcgs.yaml` of a folder in TUM's layout; `open_custom` reads exactly these values.
 
-    Raises `SourceError` where the file cannot be written.
+    Raises `SourceError` if the file cannot be written.
     """
     intrinsics = {key: float(getattr(camera, key)) for key in _CAMERA_KEYS[2:]}
     distortion = [float(number) for number in camera.distortion]
@@ -105,7 +105,7 @@ def _load(file: Path) -> dict[str, Any]:
     text = read_text(file, _MAX_BYTES)
     try:
         tree = yaml.safe_load(text)
-    except _NO_YAML as error:
+    except _YAML_ERRORS as error:
         mark = getattr(error, 'problem_mark', None)
         where = '' if mark is None else f' in line {mark.line + 1}'
         problem = getattr(error, 'problem', None) or str(error).partition('\n')[0]
@@ -115,7 +115,7 @@ def _load(file: Path) -> dict[str, Any]:
 
 
 def _check_map(value: object, name: str, valid: tuple[str, ...]) -> None:
-    """Raise `ValueError` for what is no map, or has a key of another name."""
+    """Check that the value is a map with valid keys only; raises `ValueError`."""
     if not isinstance(value, Mapping):
         raise ValueError(f'{name} {shown(value)}, not a map of {", ".join(valid)}')
     for unknown in value.keys() - set(valid):
@@ -123,7 +123,7 @@ def _check_map(value: object, name: str, valid: tuple[str, ...]) -> None:
 
 
 def _own_camera(tree: Mapping[str, Any]) -> CameraPreset:
-    """Camera, noise and depth unit; raises `ValueError` or `SensorError`."""
+    """Return camera, noise and depth unit; raises `ValueError` or `SensorError`."""
     value = tree.get('camera')
     if isinstance(value, str) and value in PRESETS:
         preset = PRESETS[value]
@@ -133,9 +133,9 @@ def _own_camera(tree: Mapping[str, Any]) -> CameraPreset:
         camera, sensor = _camera(value), SensorNoise.structured_light()
     if 'sensor' in tree:
         _check_map(tree['sensor'], 'sensor has', _SENSOR_KEYS)
-        numbers = {key: number_of(tree['sensor'], key) for key in tree['sensor']}
+        numbers = {key: number_at(tree['sensor'], key) for key in tree['sensor']}
         sensor = dataclasses.replace(sensor, **numbers)
-    return CameraPreset(camera, sensor, depth_unit_of(tree, 'depth_per_metre'))
+    return CameraPreset(camera, sensor, depth_unit_at(tree, 'depth_per_metre'))
 
 
 def _camera(value: object) -> PinholeCamera:
@@ -147,9 +147,9 @@ def _camera(value: object) -> PinholeCamera:
     _check_map(value, 'camera has', (*_CAMERA_KEYS, 'distortion'))
     distortion = value.get('distortion', [])
     if not isinstance(distortion, list):
-        raise ValueError(f'camera.distortion is {shown(distortion)}, no list of numbers')
+        raise ValueError(f'camera.distortion is {shown(distortion)}, not a list of numbers')
     try:
-        return camera_of(value, _CAMERA_KEYS, distortion)
+        return camera_from_fields(value, _CAMERA_KEYS, distortion)
     except ValueError as error:
         raise ValueError(f'camera: {error}') from None
 
@@ -167,7 +167,7 @@ def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[StampPair]:
     ]
     if len(ways) != 1:
         raise ValueError(
-            f'{" and ".join(ways) or "nothing"} for the stamps; there has to be one: color and '
+            f'{" and ".join(ways) or "nothing"} for the stamps; exactly one is needed: color and '
             'depth are index files (.txt), or rate_hz: NUMBER, or stamps: names'
         )
     if ways == ['index files']:
@@ -183,17 +183,17 @@ def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[StampPair]:
 
 
 def _rate(tree: Mapping[str, Any]) -> Fraction:
-    rate = number_of(tree, 'rate_hz')
+    rate = number_at(tree, 'rate_hz')
     if not 1e-3 <= rate <= 1e4:
         raise ValueError(f'rate_hz is {rate:g}, not within 0.001 to 10000')
     return Fraction(rate)
 
 
 def _path_at(tree: Mapping[str, Any], key: str) -> str:
-    """Return the path or pattern at a key; raises `ValueError` where it may lead elsewhere."""
+    """Return the path or pattern at a key; raises `ValueError` if it may leave the folder."""
     value = tree.get(key)
     if not isinstance(value, str) or not value:
-        raise ValueError(f'{key} is {shown(value)}, no path')
+        raise ValueError(f'{key} is {shown(value)}, not a path')
     try:
         check_inside(value)
     except ValueError as error:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One pass over a recording: which images belong together, the ground truth, what is lost."""
+"""The contents of a recording, from one pass over it: pairs of images, ground truth, losses."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from ...io.ros_images import MessageError
 from ...io.trajectory import format_stamp_ns
 from ..images.association import MAX_PAIR_GAP_NS, associate_stamps
 from ..source import BadFrame, SourceError
-from .extrinsics import transform
-from .messages import DamagedError, RawMessage, decode, raw_messages, read_header
+from .extrinsics import read_transform
+from .messages import POSE, RawMessage, decode, read_header
+from .recording import raw_messages
+from .recovery.losses import DamagedError
+from .topics import GROUNDTRUTH_TOPIC
 
-GROUNDTRUTH_TOPIC = '/groundtruth'  # poses of the colour camera
-POSE = 'geometry_msgs/msg/PoseStamped'
-
-_MAX_STEP_BACK_NS = 1_000_000_000  # more is not disorder but another recording
+_MAX_STEP_BACK_NS = 1_000_000_000  # of stamps; a larger step means another recording
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What a recording holds, without its images."""
+class RecordingContents:
+    """What a recording holds, without the images themselves."""
 
     pairs: list[tuple[int, int]]  # stamps of colour and depth, by colour
     groundtruth: Trajectory | None
-    lost: list[BadFrame]  # messages that cannot be read, and the end where it is missing
+    lost: list[BadFrame]  # unreadable messages, and what else of a damaged recording is lost
 
 
-def survey(path: Path | str, color: str, depth: str) -> Survey:
-    """Read the headers of the images and the ground truth's poses; nothing is decoded else.
+def read_contents(path: Path | str, color: str, depth: str) -> RecordingContents:
+    """Read the headers of the images, and the ground truth's poses.
 
-    Raises `SourceError` where no colour and depth image are a pair, or stamps step back by more
-    than a second.
+    Raises `SourceError` if no colour and depth image are a pair, or stamps step back by more than
+    a second.
     """
     stamps: dict[str, list[int]] = {color: [], depth: []}
     poses: dict[int, NDArray[np.float64]] = {}
@@ -49,7 +49,7 @@ def survey(path: Path | str, color: str, depth: str) -> Survey:
         ):
             try:
                 if message.topic in stamps:
-                    _note(stamps[message.topic], read_header(message.cdr)[0])
+                    _add_stamp(stamps[message.topic], read_header(message.cdr)[0])
                 elif message.type == POSE:
                     poses.setdefault(*_read_pose(message))
             except MessageError as error:
@@ -60,21 +60,21 @@ def survey(path: Path | str, color: str, depth: str) -> Survey:
     except DamagedError as error:
         lost.append(BadFrame('end of the recording', str(error)))
     pairs = _paired(path, stamps[color], stamps[depth], lost)
-    return Survey(pairs, _trajectory(poses), lost)
+    return RecordingContents(pairs, _trajectory(poses), lost)
 
 
-def _note(stamps: list[int], stamp_ns: int) -> None:
+def _add_stamp(stamps: list[int], stamp_ns: int) -> None:
     if stamps and stamp_ns < stamps[-1] - _MAX_STEP_BACK_NS:
         raise SourceError(
             f'its stamp {format_stamp_ns(stamp_ns)} is before {format_stamp_ns(stamps[-1])}: '
-            'more than one recording in one'
+            'these are several recordings in one'
         )
     stamps.append(stamp_ns)
 
 
 def _read_pose(message: RawMessage) -> tuple[int, NDArray[np.float64]]:
     pose = decode(message.cdr, message.type).pose
-    return read_header(message.cdr)[0], transform(pose.position, pose.orientation)
+    return read_header(message.cdr)[0], read_transform(pose.position, pose.orientation)
 
 
 def _trajectory(poses: dict[int, NDArray[np.float64]]) -> Trajectory | None:
@@ -87,7 +87,7 @@ def _trajectory(poses: dict[int, NDArray[np.float64]]) -> Trajectory | None:
 def _paired(
     path: Path | str, color_ns: list[int], depth_ns: list[int], lost: list[BadFrame]
 ) -> list[tuple[int, int]]:
-    """Pair the stamps; one that was recorded twice counts once."""
+    """Pair the stamps; a repeated one counts once."""
     color, depth = (np.unique(np.array(values, np.int64)) for values in (color_ns, depth_ns))
     pairs = associate_stamps(color, depth, MAX_PAIR_GAP_NS)
     if not pairs:

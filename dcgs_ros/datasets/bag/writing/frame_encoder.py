@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Frames as the messages that realsense2_camera publishes; the way back is `ros_images`."""
+"""Encoding frames as realsense2_camera publishes them; `io.ros_images` is the inverse."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from ..topics import COLOR_TOPIC, DEPTH_TOPIC
 from .encoding import OPTICAL_FRAME, header, make, on_topic
 
 _JPEG_QUALITY = 95
-_CONFIG = bytes(12)  # what compressed_depth_image_transport puts before a PNG; unused for 16UC1
+_CONFIG = bytes(12)  # compressed_depth_image_transport's header; unused for 16UC1
 
-_Body = tuple[str, tuple[Any, ...]]  # a message's name and its fields behind the header
+_Body = tuple[str, tuple[Any, ...]]  # a message's name and its fields after the header
 
 
 class FrameEncoder:
-    """Frames of one camera, as Image or, with `compress`, as CompressedImage."""
+    """Encodes frames of one camera as Image or, with `compress`, as CompressedImage."""
 
     def __init__(self, camera: PinholeCamera, compress: bool) -> None:
-        """Count the frames whose depth loses what millimetres do not tell in `rounded`."""
+        """Set `rounded`, the number of frames whose depth was rounded to millimetres, to zero."""
         self.rounded = 0
         self._camera, self._compress = camera, compress
 
     def messages(self, frame: RgbdFrame) -> Iterator[RawMessage]:
-        """Colour and depth, each with its CameraInfo and its own stamp."""
+        """Encode colour and depth, each with its CameraInfo and its own stamp."""
         color, depth = frame.stamp_ns, frame.depth_stamp_ns
         for topic, stamp_ns in ((COLOR_TOPIC, color), (DEPTH_TOPIC, depth)):
             beside = topic.rsplit('/', 1)[0] + '/camera_info'
@@ -54,8 +54,8 @@ class FrameEncoder:
         return _compressed('16UC1; compressedDepth png', data)
 
 
-def encode_image(suffix: str, pixels: NDArray, *parameters: int) -> bytes:
-    """Image file's bytes; colour (H, W, 3) is RGB."""
+def encode_image(suffix: str, pixels: NDArray[Any], *parameters: int) -> bytes:
+    """Return the bytes of an image file; colour (H, W, 3) is RGB."""
     if pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(suffix, pixels, parameters)
@@ -67,8 +67,8 @@ def _on(topic: str, stamp_ns: int, name: str, fields: tuple[Any, ...]) -> RawMes
 
 
 def _camera_info(camera: PinholeCamera) -> _Body:
-    no_binning, everything = (0, 0), make('sensor_msgs/RegionOfInterest', 0, 0, 0, 0, False)
-    fields = (camera.height, camera.width, *camera_fields(camera), *no_binning, everything)
+    no_binning, whole_image = (0, 0), make('sensor_msgs/RegionOfInterest', 0, 0, 0, 0, False)
+    fields = (camera.height, camera.width, *camera_fields(camera), *no_binning, whole_image)
     return 'sensor_msgs/CameraInfo', fields
 
 
@@ -76,7 +76,7 @@ def _color(color: NDArray[np.uint8]) -> _Body:
     return _image('mono8' if color.ndim == 2 else 'rgb8', color)
 
 
-def _image(encoding: str, pixels: NDArray) -> _Body:
+def _image(encoding: str, pixels: NDArray[Any]) -> _Body:
     height, width = pixels.shape[:2]
     data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
     little_endian, step = 0, len(data) // height

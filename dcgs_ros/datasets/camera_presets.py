@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Cameras known by name, and cameras given as numbers."""
+"""Cameras known by name: intrinsics, depth noise and depth unit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..core.camera import CameraError, PinholeCamera
+from ..core.camera import PinholeCamera
 from ..core.sensor import SensorNoise
-from .source import SourceError
 
 
 @dataclass(frozen=True)
@@ -56,9 +55,8 @@ PRESETS: dict[str, CameraPreset] = {
         SensorNoise.structured_light(),
         TUM_DEPTH_PER_METRE,
     ),
-    # Nominal: every D435i is calibrated on its own (its camera_info says how), within a few pixels
-    # of this. The first number is the focal length of its depth imager in that mode, 50 mm the
-    # baseline.
+    # Nominal: each D435i has its own calibration, in its camera_info, within a few pixels of this.
+    # SensorNoise.stereo takes the focal length of the depth imager in that mode, and the baseline.
     'd435i': CameraPreset(
         PinholeCamera(640, 480, 615.0, 615.0, 319.5, 239.5),
         SensorNoise.stereo(385.0, 0.05),
@@ -74,48 +72,27 @@ PRESETS: dict[str, CameraPreset] = {
         SensorNoise.stereo(640.0, 0.05),
         1000.0,
     ),
-    # Structure sensor; nominal, a scene's own files say it exactly. Its frames are the depth's.
+    # Structure sensor, nominal: a scene's own files have its calibration. It is the depth camera.
     'scannet': CameraPreset(
         PinholeCamera(640, 480, 577.6, 578.7, 318.9, 242.7),
         SensorNoise.structured_light(),
         1000.0,
     ),
-    # Rendered as NICE-SLAM has it: no noise, only the rounding of 16 bits.
+    # As rendered by NICE-SLAM: without noise, depth rounded to 16 bits.
     'replica': CameraPreset(
         PinholeCamera(1200, 680, 600.0, 600.0, 599.5, 339.5), SensorNoise.floor(), 6553.5
     ),
-    # Kinect's colour camera, nominal: 7-Scenes was published uncalibrated.
+    # Nominal colour camera of a Kinect: 7-Scenes was published without a calibration.
     '7scenes': CameraPreset(
         PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5),
         SensorNoise.structured_light(),
         1000.0,
     ),
-    # Rendered without noise; fy is -480 there, as its y axis points up and its frames are
-    # left-handed.
+    # Rendered without noise. The dataset itself has fy = -480: its y axis points up and its frames
+    # are left-handed.
     'icl_nuim': CameraPreset(
         PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5),
         SensorNoise.floor(),
         TUM_DEPTH_PER_METRE,
     ),
 }
-
-
-def parse_intrinsics(text: str, width: int, height: int) -> PinholeCamera:
-    """`fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels to the camera of a `width` x `height` image.
-
-    Raises `SourceError` where the text is no such list or describes no camera.
-    """
-    try:
-        numbers = [float(word) for word in text.split(',')]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (4, 8, 9, 12):
-        raise SourceError(
-            f'camera {text!r} is neither one of {", ".join(PRESETS)} '
-            'nor fx,fy,cx,cy[,k1,k2,p1,p2[,k3]] in pixels'
-        )
-    try:
-        fx, fy, cx, cy, *distortion = numbers
-        return PinholeCamera(width, height, fx, fy, cx, cy, tuple(distortion))
-    except CameraError as error:
-        raise SourceError(f'camera {text!r}: {error}') from error

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses that datasets write as matrices of four by four, checked before they are used."""
+"""Camera poses that datasets store as 4x4 matrices, checked before they are used."""
 
 from __future__ import annotations
 
@@ -9,29 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core import se3
-from ..core.trajectory import Trajectory
-from .source import SourceError
+from ...core import se3
+from ...core.trajectory import Trajectory
+from ..source import SourceError
+from .text_files import read_text
 
-# Published matrices are right to five decimals or more; what is farther off is no rotation.
+# Published matrices are right to five decimals or more; a larger error means no rotation at all.
 ROTATION_TOLERANCE = 1e-2
-MAX_TRANSLATION_M = 1e6  # farther away, a pose is a number that went wrong
+MAX_TRANSLATION_M = 1e6  # a pose farther from the origin is a corrupt number
 _MAX_MATRIX_BYTES = 2**16  # of a file with sixteen numbers
 
 
-def read_text(path: Path, max_bytes: int) -> str:
-    """Read a text file; raises `SourceError` where it cannot be, or is larger than `max_bytes`."""
-    try:
-        size = path.stat().st_size
-        if size > max_bytes:
-            raise SourceError(f'{path}: has {size} bytes, more than the {max_bytes} it may have')
-        return path.read_text(encoding='utf-8', errors='replace')
-    except OSError as error:
-        raise SourceError(f'{path}: cannot be read: {error.strerror}') from error
-
-
 def parse_matrix(text: str) -> NDArray[np.float64]:
-    """Sixteen numbers, row by row, to (4, 4); raises `ValueError` for anything else."""
+    """Parse sixteen numbers, row by row, as (4, 4); raises `ValueError` for anything else."""
     words = text.split()
     if len(words) != 16:
         raise ValueError(f'{len(words)} numbers, not the 16 of a 4x4 matrix')
@@ -39,7 +29,7 @@ def parse_matrix(text: str) -> NDArray[np.float64]:
 
 
 def read_matrix(path: Path) -> NDArray[np.float64]:
-    """Read a file of sixteen numbers (4, 4); raises `SourceError`."""
+    """Read a file of sixteen numbers as (4, 4); raises `SourceError`."""
     try:
         return parse_matrix(read_text(path, _MAX_MATRIX_BYTES))
     except ValueError as error:
@@ -47,15 +37,15 @@ def read_matrix(path: Path) -> NDArray[np.float64]:
 
 
 def read_pose(path: Path) -> NDArray[np.float64]:
-    """Read a file of sixteen numbers (4, 4); NaN where it holds something else, or is missing."""
+    """Read a file of sixteen numbers as (4, 4); NaN if it is missing or holds anything else."""
     try:
         return read_matrix(path)
     except SourceError:
         return np.full((4, 4), np.nan)
 
 
-def are_rigid(T: NDArray) -> NDArray[np.bool_]:
-    """Tell which of the matrices (N, 4, 4) are finite rotations and translations."""
+def are_rigid(T: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which of the matrices (N, 4, 4) are finite rigid transforms, (N,)."""
     usable = np.isfinite(T).all(axis=(1, 2)) & (np.abs(T).max(axis=(1, 2)) < MAX_TRANSLATION_M)
     T = np.where(usable[:, None, None], T, 0.0).astype(np.float64)
     R = T[:, :3, :3]
@@ -64,10 +54,12 @@ def are_rigid(T: NDArray) -> NDArray[np.bool_]:
     return usable & affine & (off < ROTATION_TOLERANCE) & (np.linalg.det(R) > 0)
 
 
-def rigid_trajectory(stamps_ns: NDArray[np.int64], T_world_cam: NDArray) -> Trajectory | None:
-    """Poses (N, 4, 4) at stamps (N,), those that are such: where a dataset was lost it has none.
+def rigid_trajectory(
+    stamps_ns: NDArray[np.int64], T_world_cam: NDArray[np.floating]
+) -> Trajectory | None:
+    """Return the trajectory of those poses (N, 4, 4) at stamps (N,) that are rigid.
 
-    None where no pose is.
+    Datasets mark frames without a pose by invalid matrices. None if no pose is rigid.
     """
     valid = are_rigid(T_world_cam)
     if not valid.any():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A waving surface of Gaussians, all of which a camera sees."""
+"""A wavy surface of Gaussians, all within the image of a camera."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.mapping.splats import PLANES, SH_C0, Splats
 
 
-def wavy(n: int, width: int, height: int, shuffled: bool) -> tuple[Splats, PinholeCamera]:
-    """Spread n flat Gaussians over the image of a camera at the origin, in its order or in none.
+def wavy_surface(n: int, width: int, height: int, shuffled: bool) -> tuple[Splats, PinholeCamera]:
+    """Return n flat Gaussians spread over the image of a camera at the origin, and the camera.
 
-    Their sigmas are 0.7 to 1.3 spacings along, 0.3 to 1 of that across, and 0.15 of that in depth.
+    They are in the order of the image rows, or `shuffled`. Their sigmas are 0.7 to 1.3 times their
+    spacing along the longest axis, 0.3 to 1 of that across, and 0.15 of that along the normal.
     """
     rng = np.random.default_rng(0)
     focal = 525.0 * width / 640.0
@@ -40,7 +41,7 @@ def wavy(n: int, width: int, height: int, shuffled: bool) -> tuple[Splats, Pinho
 def _spread(
     rng: np.random.Generator, n: int, width: int, height: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels (N,) and (N,), one anywhere in each cell of a grid, row by row."""
+    """Return pixels u (N,) and v (N,), one at random in each cell of a grid, row by row."""
     rows = round(np.sqrt(n * height / width))
     columns = -(-n // rows)
     row, column = np.divmod(np.arange(n), columns)
@@ -49,10 +50,12 @@ def _spread(
     return u, v
 
 
-def _surface(u: NDArray, v: NDArray, camera: PinholeCamera) -> tuple[NDArray, NDArray]:
-    """Points (3, N), metres, and unit normals (3, N) of the surface that the pixels see."""
+def _surface(
+    u: NDArray[np.float64], v: NDArray[np.float64], camera: PinholeCamera
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points (3, N), metres, and unit normals (3, N) of the surface at pixels (N,)."""
 
-    def point(u: NDArray, v: NDArray) -> NDArray[np.float64]:
+    def point(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
         return (2.0 + 0.3 * np.sin(7.0 * x) * np.cos(6.0 * y)) * np.stack([x, y, np.ones_like(x)])
 
@@ -61,11 +64,11 @@ def _surface(u: NDArray, v: NDArray, camera: PinholeCamera) -> tuple[NDArray, ND
     return points, normals / np.linalg.norm(normals, axis=0)
 
 
-def _facing(normals: NDArray, turns: NDArray) -> NDArray[np.float64]:
-    """(4, N) quaternions wxyz that turn z to the normals, after `turns` about z."""
+def _facing(normals: NDArray[np.float64], angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return quaternions wxyz (4, N) that rotate by `angles` (N,) about z, then z to `normals`."""
     first = np.cross(normals, [[1.0], [0.0], [0.0]], axis=0)
     first /= np.linalg.norm(first, axis=0)
     axes = np.stack([first, np.cross(normals, first, axis=0), normals], axis=1)  # (3, 3, N)
-    about_z = Rotation.from_rotvec(turns[:, None] * [0.0, 0.0, 1.0])
+    about_z = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
     turned = Rotation.from_matrix(axes.transpose(2, 0, 1)) * about_z
     return np.asarray(turned.as_quat().T[[3, 0, 1, 2]])

@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the tracker says of each frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..keyframe import Keyframe
+from .observability import Observability
+
+
+class TrackingState(Enum):
+    """What a pose is worth."""
+
+    OK = 'ok'
+    DEGENERATE = 'degenerate'  # tracked, but one direction is badly constrained
+    LOST = 'lost'  # the pose is the last good one
+
+
+@dataclass(frozen=True)
+class TrackResult:
+    """One tracked frame."""
+
+    stamp_ns: int  # of the colour image
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+    T_cam_cam_at_depth: NDArray[np.float64]  # (4, 4) camera at the depth's instant to colour's
+    covariance: NDArray[np.floating]  # (6, 6) of xi in T_world_cam exp(xi), translation first
+    state: TrackingState
+    observability: Observability | None  # None: first frame, or lost
+    points: int
+    inliers: int  # depth pairs
+    landmarks: int
+    keyframe: bool  # whether this frame is one
+    keyframes: tuple[Keyframe, ...]  # finished with this frame: the first one with the second
+    colour_depth_offset_ms: float

@@ -287,6 +287,11 @@ def test_frames_that_cannot_be_read_are_told_and_left_out(tum_folder: Callable[.
     assert len(said) == 1 and 'frame 2 of 3' in said[0]
 
 
+def test_a_synthetic_scene_may_have_options() -> None:
+    playback = open_playback('synthetic:plane?frames=2', None, 'optical', lambda _: None)
+    assert len(list(playback.items())) == 2
+
+
 def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
     path = str(write_bag(tmp_path / 'bag', recording(2)))
     raw = open_playback(path, None, 'optical', lambda _: None)

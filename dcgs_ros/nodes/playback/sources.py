@@ -105,9 +105,9 @@ def open_playback(
 
     Raises a `DcgsError` where it cannot be played.
     """
-    path, *topics = split_topics(source)
-    if camera is None and is_bag(path):
-        recorded = find_camera(path, None, *topics)
-        if recorded.as_published:
+    if camera is None and not source.startswith('synthetic:'):  # whose `?` begins no topics
+        path, *topics = split_topics(source)
+        recorded = find_camera(path, None, *topics) if is_bag(path) else None
+        if recorded is not None and recorded.as_published:
             return BagPlayback(path, recorded.topics, camera_frame, warn)
     return FramePlayback(open_source(source, camera), camera_frame, warn)

@@ -20,7 +20,8 @@ import numpy as np
 
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.evaluation.host import machine, rss_mb
-from dcgs_ros.nodes.harness.processes import Observer, Processes, sensor_parameters, wait_until
+from dcgs_ros.nodes.harness.observer import Observer, wait_until
+from dcgs_ros.nodes.harness.processes import Processes, sensor_parameters
 
 from .plots import draw_plots
 

@@ -20,7 +20,7 @@ _ARGUMENTS = [
         description='A sequence in any format: a rosbag2, a dataset, synthetic:room|plane|zigzag.',
     ),
     DeclareLaunchArgument(
-        'bag', default_value='', description='Bag to play; another name for `source`.'
+        'bag', default_value='', description='Bag to play, instead of `source`.'
     ),
     DeclareLaunchArgument(
         'rate', default_value='1.0', description='Speed; 0: as fast as possible.'
@@ -32,7 +32,7 @@ _ARGUMENTS = [
         'mapper', default_value='true', choices=_EITHER, description='Start the mapper.'
     ),
     DeclareLaunchArgument(
-        'rviz', default_value='false', choices=_EITHER, description='Show it all in RViz.'
+        'rviz', default_value='false', choices=_EITHER, description='Start RViz.'
     ),
     DeclareLaunchArgument(
         'params', default_value='', description='Parameter file of tracker and mapper.'
@@ -41,14 +41,14 @@ _ARGUMENTS = [
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what `ros2 launch` starts."""
+    """Return what `ros2 launch` is to start."""
     slam = Path(get_package_share_directory('dcgs_ros'), 'launch', 'slam.launch.py')
     arguments = {name: LaunchConfiguration(name) for name in ('mapper', 'rviz', 'params')}
     arguments |= {'camera': 'none', 'reliability': 'reliable'}
     return LaunchDescription(
         [
             *_ARGUMENTS,
-            # First: it sets the transport up for the replay too.
+            # First, since it sets the transport up for the replay too.
             IncludeLaunchDescription(
                 PythonLaunchDescriptionSource(str(slam)), launch_arguments=arguments.items()
             ),
@@ -61,7 +61,7 @@ def _replay(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     names = ('source', 'bag', 'rate', 'loop')
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
     parameters = {
-        # As it is: else a folder named 2026 would be a number.
+        # A string: otherwise a folder named 2026 would be a number.
         'source': ParameterValue(given['bag'] or given['source'], value_type=str),
         'rate': float(given['rate']),
         'loop': given['loop'] == 'true',

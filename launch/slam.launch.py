@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Camera, tracker, mapper and RViz, each on request.
 
-The mapper on another machine: `mapper:=false` here, `tracker:=false` there.
+With the mapper on another machine: `mapper:=false` here, `tracker:=false` there.
 """
 
 from pathlib import Path
+from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
@@ -27,7 +28,7 @@ _ARGUMENTS = [
         'camera',
         default_value='d435i',
         choices=['d435i', 'none'],
-        description='Camera whose driver is started; none: something else publishes the images.',
+        description='Camera whose driver is started; none: images come from elsewhere.',
     ),
     DeclareLaunchArgument(
         'tracker',
@@ -39,7 +40,7 @@ _ARGUMENTS = [
         'mapper', default_value='true', choices=_EITHER, description='Start the mapper.'
     ),
     DeclareLaunchArgument(
-        'rviz', default_value='false', choices=_EITHER, description='Show it all in RViz.'
+        'rviz', default_value='false', choices=_EITHER, description='Start RViz.'
     ),
     DeclareLaunchArgument(
         'params',
@@ -53,7 +54,7 @@ _ARGUMENTS = [
         description='How the tracker subscribes to images, where `params` does not say.',
     ),
 ]
-# 640x480 is what config/d435i.yaml holds for. Depth has to be registered to colour.
+# config/d435i.yaml is for 640x480. Depth has to be registered to colour.
 _D435I = {
     'rgb_camera.color_profile': '640x480x30',
     'depth_module.depth_profile': '640x480x30',
@@ -62,12 +63,12 @@ _D435I = {
     'enable_infra1': 'false',
     'enable_infra2': 'false',
 }
-_PATIENCE_S = '60'  # for a map that is saved at the end
+_SIGTERM_S = '60'  # until SIGTERM: time to save a map at the end
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what `ros2 launch` starts."""
-    # The camera's driver needs it as much as we do.
+    """Return what `ros2 launch` is to start."""
+    # For the camera's driver too.
     profiles = EnvironmentVariable(_PROFILES, default_value=str(_CONFIG / 'fastdds.xml'))
     return LaunchDescription(
         [
@@ -103,11 +104,11 @@ def _realsense() -> IncludeLaunchDescription:
     return IncludeLaunchDescription(source, launch_arguments=_D435I.items())
 
 
-def _node(executable: str, parameters: list) -> Node:
+def _node(executable: str, parameters: list[Any]) -> Node:
     return Node(
         package='dcgs_ros',
         executable=executable,
         output='screen',
         parameters=parameters,
-        sigterm_timeout=_PATIENCE_S,
+        sigterm_timeout=_SIGTERM_S,
     )

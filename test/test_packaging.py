@@ -139,6 +139,21 @@ def test_core_needs_no_ros_no_torch_and_none_of_the_outer_rings() -> None:
     }
 
 
+@pytest.mark.parametrize('module', ['dcgs_ros.core.tracking.tracker', 'dcgs_ros.nodes.tracker'])
+def test_tracking_loads_neither_mapper_nor_renderer(module: str) -> None:
+    if '.nodes.' in module:
+        pytest.importorskip('rclpy')
+    program = f"import sys, {module}; print(*sys.modules, sep='\\n')"
+    done = subprocess.run(
+        [sys.executable, '-c', program], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    loaded = done.stdout.split()
+    assert module in loaded
+    others = ('dcgs_ros.core.mapping', 'dcgs_ros.core.render', 'dcgs_ros.core.slam')
+    assert not [name for name in loaded if name.startswith(others)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('ring', ['datasets', 'io', 'evaluation'])
 def test_the_middle_ring_needs_no_ros_and_nothing_outside_it(ring: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Replay, tracker and mapper as three processes over DDS, and how they did.
+"""Replay, tracker and mapper as three processes over DDS, and what they achieve.
 
 `python -m dcgs_ros.nodes.demo [SOURCE] [--rate 1] [--no-mapper]`
 """
@@ -20,7 +20,8 @@ from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 from ..datasets.open import open_source
 from ..evaluation.trajectory import absolute_trajectory_error
-from .harness.processes import Observer, Processes, sensor_parameters, wait_until
+from .harness.observer import Observer, wait_until
+from .harness.processes import Processes, sensor_parameters
 
 _LOADED_S = 300.0  # the first time kernels are compiled
 _SETTLE_S = 2.0
@@ -28,7 +29,7 @@ _SETTLE_S = 2.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a replay came to."""
+    """The figures of a replay."""
 
     frames: int
     tracked: int
@@ -40,7 +41,7 @@ class Outcome:
     steps_per_s: float
 
     def __str__(self) -> str:
-        """Say it in a few lines."""
+        """Return the figures in a few lines."""
         ate = '-' if self.ate_cm is None else f'{self.ate_cm:.2f} cm'
         return (
             f'  tracked       {self.tracked} of {self.frames} pairs\n'
@@ -53,7 +54,7 @@ class Outcome:
 
 
 def play(source: str, rate: float, mapper: bool, logs: Path) -> Outcome:
-    """Play a source to the nodes; raises `DcgsError` or `TimeoutError` where they fail."""
+    """Play a source to the nodes; raise `DcgsError` or `TimeoutError` where they fail."""
     opened = open_source(source)
     with Processes(logs) as processes:
         observer = Observer(processes.domain)
@@ -73,14 +74,14 @@ def play(source: str, rate: float, mapper: bool, logs: Path) -> Outcome:
             if replay.wait(duration_s):
                 raise DcgsError(f'replay ended with {replay.returncode}; see {logs}')
             wait_until(lambda: observer.status != {}, _SETTLE_S, 'diagnostics')
-            _settled(observer)
+            _await_reports(observer)
             return _outcome(observer, len(opened), opened.groundtruth)
         finally:
             observer.close()
 
 
-def _settled(observer: Observer) -> None:
-    """Let the last reports come."""
+def _await_reports(observer: Observer) -> None:
+    """Wait for the last diagnostics."""
     reports = len(observer.history)
     wait_until(lambda: len(observer.history) >= reports + 4, 10.0, 'diagnostics')
 
@@ -88,7 +89,7 @@ def _settled(observer: Observer) -> None:
 def _outcome(observer: Observer, frames: int, truth: Trajectory | None) -> Outcome:
     latencies = observer.latencies_ms()
     if not len(latencies):
-        raise DcgsError('no odometry came')
+        raise DcgsError('the tracker published no odometry')
     ate = None if truth is None else absolute_trajectory_error(observer.trajectory(), truth)
     median_ms, p95_ms = np.percentile(latencies, [50, 95]).tolist()
     return Outcome(
@@ -104,7 +105,7 @@ def _outcome(observer: Observer, frames: int, truth: Trajectory | None) -> Outco
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Play, and print what came of it."""
+    """Play, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('source', nargs='?', default='synthetic:room')
     parser.add_argument('--rate', type=float, default=1.0)

@@ -10,6 +10,7 @@ import threading
 import traceback
 from collections.abc import Callable, Sequence
 from types import FrameType
+from weakref import WeakSet
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -19,27 +20,27 @@ from ..core.errors import DcgsError
 from .transport import prepare
 
 _WAKE_S = 1.0
-_FAILED = threading.Event()  # a thread of this process' node did
+_failed: WeakSet[Node] = WeakSet()  # nodes of which a worker raised
 
 
 def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Make a node and spin it until it is told to end; return the process's exit status.
+    """Make a node and spin it until it is told to end; return the exit status of the process.
 
-    SIGINT, SIGTERM and a shutdown of ROS end it with 0, after its `close`, where it has one. A
-    node that cannot be made says so in one line: 2; one whose thread failed: 1. `args` are the
-    command line's by default.
+    SIGINT, SIGTERM and a shutdown of ROS end it with 0, after calling its `close`, if it has one.
+    A node whose constructor raises a `DcgsError` prints it in one line and returns 2; one whose
+    worker raised returns 1. `args` are those of the command line by default.
     """
     prepare()
-    # rclpy ends spinning at a signal; Python is not to interrupt `close` for the second one, which
+    # rclpy ends spinning at a signal. Python must not interrupt `close` at a second one, which
     # launchers send.
     signal.signal(signal.SIGINT, _ignored)
     rclpy.init(args=None if args is None else list(args))
     node: Node | None = None
     try:
-        executor = SingleThreadedExecutor()  # first: it does not like a signal while it is made
+        executor = SingleThreadedExecutor()  # first: a signal while it is made would break it
         node = make()
         executor.add_node(node)
-        while True:  # `spin` may miss the signal that ends it, where no timer wakes it up again
+        while True:  # `spin` may miss the signal that ends it, unless a timer wakes it up
             executor.spin_once(timeout_sec=_WAKE_S)
     except ExternalShutdownException:
         pass
@@ -52,11 +53,16 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
         # A signal shuts ROS down at once: what was being published then fails.
     finally:
         _end(node)
-    return int(_FAILED.is_set())
+    return int(node is not None and has_failed(node))
+
+
+def has_failed(node: Node) -> bool:
+    """Return whether a worker of the node has raised."""
+    return node in _failed
 
 
 class Worker:
-    """A thread of a node: if it fails, the node ends, and says why."""
+    """A thread of a node; where it raises, it logs the error and shuts ROS down."""
 
     def __init__(self, node: Node, work: Callable[[], None], name: str) -> None:
         """Start the thread."""
@@ -71,11 +77,11 @@ class Worker:
             if self._node.context.ok():  # else a signal came while something was being published
                 expected = isinstance(error, DcgsError)
                 self._node.get_logger().fatal(str(error) if expected else traceback.format_exc())
-                _FAILED.set()
+                _failed.add(self._node)
                 self._node.context.try_shutdown()
 
     def join(self) -> None:
-        """Wait for its end."""
+        """Wait for the end of the thread."""
         self._thread.join()
 
 
@@ -91,4 +97,4 @@ def _end(node: Node | None) -> None:
 
 
 def _ignored(number: int, frame: FrameType | None) -> None:
-    """Stand in for Python's own handler, which rclpy calls after its own."""
+    """Replace Python's own handler, which rclpy calls after its own."""

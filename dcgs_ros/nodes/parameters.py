@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Settings as ROS parameters: declared, described and checked by walking the dataclasses."""
+"""Settings as ROS parameters, declared, described and checked from the dataclasses."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from rclpy.parameter import Parameter
 from ..core.config.schema import ConfigError, S, Setting, flatten, override, settings
 from ..core.errors import DcgsError
 
-_AUTO = 'auto'  # None, which no parameter can be
+_AUTO = 'auto'  # stands for None, which a parameter cannot be
 
 
 class Parameters(Generic[S]):
-    """Keeps settings and a node's parameters equal."""
+    """Keeps a node's settings and its parameters equal."""
 
     def __init__(
         self,
@@ -33,11 +33,11 @@ class Parameters(Generic[S]):
         live: Callable[[str], bool],
         on_change: Callable[[S], None],
     ) -> None:
-        """Declare every setting, with what files and command line say of it.
+        """Declare every setting, with its value from files and the command line.
 
-        Those that `live` says so of by their key may change at run time: `on_change` gets the
-        settings after each change, all of one request at once. Raises `ConfigError` for a value
-        that is no good, and for a name that begins as a stage does but is no setting.
+        Settings whose key is `live` may change at run time: `on_change` gets the settings after
+        each request. Raises `ConfigError` for an unusable value, and for an unknown name within
+        a stage.
         """
         given = _given(node, defaults)
         self.settings = override(defaults, given)
@@ -52,7 +52,7 @@ class Parameters(Generic[S]):
         node.add_post_set_parameters_callback(self._take)
 
     def _fit(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Take 2 for 2.0, which the type of a parameter does not."""
+        """Accept 2 for 2.0, which ROS refuses for a parameter of another type."""
         return [self._fitted(parameter) for parameter in parameters]
 
     def _fitted(self, parameter: Parameter) -> Parameter:
@@ -64,7 +64,7 @@ class Parameters(Generic[S]):
         return Parameter(parameter.name, value=float(parameter.value))
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Accept all or none."""
+        """Accept all parameters of a request, or none."""
         for parameter in parameters:
             if parameter.name in self._all and parameter.type_ is Parameter.Type.NOT_SET:
                 return SetParametersResult(
@@ -77,7 +77,7 @@ class Parameters(Generic[S]):
         return SetParametersResult(successful=True)
 
     def _take(self, parameters: list[Parameter]) -> None:
-        """Pass on what was accepted."""
+        """Take over what was accepted."""
         after = self._changed(parameters)
         if after != self.settings:
             self.settings = after
@@ -89,8 +89,8 @@ class Parameters(Generic[S]):
 
 
 def _given(node: Node, defaults: Any) -> dict[str, Any]:
-    """Return what files and command line set of the settings."""
-    # No public way leads to parameters that were given but not declared.
+    """Return the settings given by files and command line."""
+    # rclpy has no public access to parameters that were given but not declared.
     overrides: Mapping[str, Parameter] = node._parameter_overrides
     known = flatten(defaults)
     stages = {f.name for f in dataclasses.fields(defaults)} - known.keys()
@@ -104,13 +104,13 @@ def _given(node: Node, defaults: Any) -> dict[str, Any]:
     strange = [
         k for k in overrides if k not in known and '.' not in k and not node.has_parameter(k)
     ]
-    if strange:  # perhaps of a file for all nodes, so no error
+    if strange:  # no error: a file may be for all nodes
         node.get_logger().warning(f'unknown parameters {", ".join(sorted(strange))} are ignored')
     return {key: p.value for key, p in overrides.items() if key in known}
 
 
 def _descriptor(setting: Setting, live: bool) -> ParameterDescriptor:
-    """Describe a setting as `ros2 param describe` shows it."""
+    """Return the description that `ros2 param describe` shows."""
     descriptor = ParameterDescriptor(
         description=setting.doc,
         read_only=not live,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The replay node: a recording as the topics of a camera, at the pace it was recorded.
+"""The replay node: a recording on the topics of a camera, at its own pace.
 
 One thread reads and converts ahead, one publishes; the executor serves parameters.
 """
@@ -22,8 +22,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from ..core.config.nodes import ReplaySettings
 from ..datasets.prefetch import prefetch
 from .lifetime import Worker, run
+from .messages.images import header, time_message
 from .messages.poses import transform_stamped
-from .messages.standard import header, time_message
 from .parameters import Parameters
 from .playback.schedule import Pacer, ScheduledItem, schedule
 from .playback.sources import Output, open_playback
@@ -37,12 +37,12 @@ _TOPICS: dict[Output, tuple[type, str]] = {
     'depth': (Image, '/camera/camera/aligned_depth_to_color/image_raw'),
 }
 _POLL_S = 0.05
-_SETTLED = 4  # frames after which to wait, where nothing else does: fewer than are kept
-_ACKNOWLEDGED = Duration(seconds=2)
+_UNACKNOWLEDGED = 4  # frames to publish before waiting, as fast as possible: fewer than are kept
+_ACKNOWLEDGE_WAIT = Duration(seconds=2)
 
 
 class ReplayNode(Node):
-    """A camera that is a recording."""
+    """A recording in place of a camera."""
 
     def __init__(self) -> None:
         """Open the recording, and start to play it."""
@@ -52,7 +52,7 @@ class ReplayNode(Node):
         ).settings
         s = self._settings
         camera = None if s.camera == 'auto' else s.camera
-        self._reel = open_playback(s.source, camera, s.color_frame, self._warn)
+        self._source = open_playback(s.source, camera, s.color_frame, self._warn)
         qos = sensor_qos(s.reliability)
         self._outputs: dict[Output, Publisher] = {
             output: self.create_publisher(type_, topic, qos)
@@ -60,20 +60,20 @@ class ReplayNode(Node):
         }
         self._clock_output = self.create_publisher(Clock, '/clock', RELIABLE)
         fixed = transform_stamped(
-            LOOKING_FORWARD, header(0, s.base_frame), self._reel.camera_frame
+            LOOKING_FORWARD, header(0, s.base_frame), self._source.camera_frame
         )
         make_transforms(self).send_static(fixed)
         self._stop = threading.Event()
         self._worker = Worker(self, self._work, 'replay')
 
     def _work(self) -> None:
-        """Play, and end the process."""
+        """Play, then end the process."""
         if self._await_subscribers():
             self._play()
         self.context.try_shutdown()
 
     def _await_subscribers(self) -> bool:
-        """Wait for as many as were asked for; return whether they came before the end."""
+        """Wait for `wait_for_subscribers`; return False if told to end before."""
         wanted = self._settings.wait_for_subscribers
         while any(out.get_subscription_count() < wanted for out in self._outputs.values()):
             if self._stop.wait(_POLL_S):
@@ -81,36 +81,36 @@ class ReplayNode(Node):
         return True
 
     def _play(self) -> None:
-        """Publish everything when it is due."""
+        """Publish every item when it is due."""
         s = self._settings
         self.get_logger().info(f'playing {s.source}')
         start_s, count = time.monotonic(), 0
-        pace = Pacer(s.rate, self._tell_time, self._stop)
+        pacer = Pacer(s.rate, self._publish_clock, self._stop)
         with closing(prefetch(self._converted())) as ready:
-            for cue, messages in ready:
-                if not pace.wait(cue):
+            for scheduled, messages in ready:
+                if not pacer.wait(scheduled):
                     return
                 for output, message in messages:
                     self._outputs[output].publish(message)
                     count += output == 'color'
-                if not s.rate and count % _SETTLED == 0:
-                    self._settle('color', 'depth')
-        self._settle(*_TOPICS)
+                if not s.rate and count % _UNACKNOWLEDGED == 0:
+                    self._await_acknowledgement('color', 'depth')
+        self._await_acknowledgement(*_TOPICS)
         self.get_logger().info(f'{count} frames in {time.monotonic() - start_s:.1f} s')
 
     def _converted(self) -> Iterator[tuple[ScheduledItem[Any], list[tuple[Output, Any]]]]:
-        """Messages of the whole playback."""
+        """Yield the items of the whole playback with their messages."""
         s = self._settings
-        cues = schedule(self._reel.items, s.start_s, s.duration_s, s.loop, s.continuous_stamps)
-        for cue in cues:
-            yield cue, self._reel.messages(cue.item, cue.shift_ns)
+        items = schedule(self._source.items, s.start_s, s.duration_s, s.loop, s.continuous_stamps)
+        for scheduled in items:
+            yield scheduled, self._source.messages(scheduled.item, scheduled.shift_ns)
 
-    def _settle(self, *outputs: Output) -> None:
-        """Wait until all reliable subscribers have what was published."""
+    def _await_acknowledgement(self, *outputs: Output) -> None:
+        """Wait until all reliable subscribers have what was published, at most two seconds."""
         for output in outputs:
-            self._outputs[output].wait_for_all_acked(_ACKNOWLEDGED)
+            self._outputs[output].wait_for_all_acked(_ACKNOWLEDGE_WAIT)
 
-    def _tell_time(self, clock_ns: int) -> None:
+    def _publish_clock(self, clock_ns: int) -> None:
         if self._settings.clock:
             self._clock_output.publish(Clock(clock=time_message(clock_ns)))
 
@@ -124,5 +124,5 @@ class ReplayNode(Node):
 
 
 def main() -> int:
-    """Replay until the end, or until told to stop."""
+    """Replay to the end, or until told to stop."""
     return run(ReplayNode)

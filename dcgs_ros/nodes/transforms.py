@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""TF, where there is one: tf2_ros comes with a ROS installation, not with the PyPI wheels."""
+"""TF, where it is installed: tf2_ros comes with ROS, not with the wheels on PyPI."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class Transforms(Protocol):
         ...
 
     def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Latest T_parent_child (4, 4), metres; None where TF does not know it."""
+        """Return the latest T_parent_child (4, 4), metres; None where TF does not know it."""
         ...
 
 
 class NoTransforms:
-    """Stands in where there is no tf2_ros."""
+    """Replaces TF without tf2_ros: sends nothing and knows nothing."""
 
     def __init__(self, node: Node) -> None:
-        """Say so, once."""
+        """Warn."""
         node.get_logger().warning('tf2_ros is not installed: TF is neither broadcast nor read')
 
     def send(self, transform: TransformStamped) -> None:
@@ -45,7 +45,7 @@ class NoTransforms:
         """Do nothing."""
 
     def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Know nothing."""
+        """Return None."""
         return None
 
 
@@ -67,11 +67,11 @@ class Tf2Transforms:
         self._broadcaster.sendTransform(transform)
 
     def send_static(self, transform: TransformStamped) -> None:
-        """Broadcast on /tf_static, to those who come late too."""
+        """Broadcast on /tf_static, which late subscribers get too."""
         self._static_broadcaster.sendTransform(transform)
 
     def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Look the latest transform up, without waiting."""
+        """Return the latest transform, without waiting."""
         try:
             found = self._buffer.lookup_transform(parent, child, Time())
         except self._unknown:
@@ -81,7 +81,7 @@ class Tf2Transforms:
 
 
 def make_transforms(node: Node) -> Transforms:
-    """Return TF, or what stands in for it."""
+    """Return TF, or its replacement without tf2_ros."""
     try:
         return Tf2Transforms(node)
     except ImportError:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What images and clouds need of DDS and of memory, before and while a node runs."""
+"""Quality of service, and the settings of DDS and malloc that large messages need."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ RELIABLE = QoSProfile(depth=32, reliability=ReliabilityPolicy.RELIABLE)
 
 
 def sensor_qos(reliability: str) -> QoSProfile:
-    """Images: 'best_effort' or 'reliable', and no long queue of them."""
+    """Return the profile for images, 'best_effort' or 'reliable', with a short queue."""
     return QoSProfile(depth=5, reliability=ReliabilityPolicy[reliability.upper()])
 
 
 def latched(depth: int) -> QoSProfile:
-    """Reliable, and those who come late get the last `depth` messages."""
+    """Return a reliable profile with which late subscribers get the last `depth` messages."""
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE,
@@ -35,23 +35,23 @@ def latched(depth: int) -> QoSProfile:
 
 
 def prepare() -> None:
-    """Let DDS carry whole images, and keep their memory; to be called before `rclpy.init`.
+    """Let DDS carry whole images, and malloc reuse their memory; call it before `rclpy.init`.
 
-    By default Fast DDS drops most images of a camera: its shared memory is smaller than one. A
-    profile that the environment names already stays.
+    By default Fast DDS drops most images of a camera, since its shared memory is smaller than one.
+    A profile that the environment names already is kept.
     """
     profiles = profiles_file()
     if profiles is not None:
         os.environ.setdefault(_PROFILES, str(profiles))
     if platform.libc_ver()[0] == 'glibc':
-        # Else the memory of each image is given back and asked for again: 2 ms of page faults.
+        # Otherwise each image's memory is returned and requested again: 2 ms of page faults.
         libc = ctypes.CDLL(None)
         libc.mallopt(_M_MMAP_THRESHOLD, _MAPPED_BYTES)
         libc.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 def profiles_file() -> Path | None:
-    """Find the package's profile of Fast DDS: in the sources, or where colcon or pip put it."""
+    """Return the package's Fast DDS profile: of the sources, or where colcon or pip put it."""
     prefixes = [*os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep), sys.prefix]
     shares = [Path(prefix, 'share', 'dcgs_ros') for prefix in prefixes if prefix]
     for folder in (Path(__file__).resolve().parents[2], *shares):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What waits for a working thread: orders, each of them, and frames, the newest."""
+"""Work for one thread: calls, every one of them, and items, the newest ones."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Result = TypeVar('Result')
 
 
 class WorkQueue(Generic[Item]):
-    """Hands what arrives to one thread; of items no more than `capacity` wait, the newest ones."""
+    """Passes work to one thread; at most `capacity` items wait, newer ones push out older ones."""
 
     def __init__(self, capacity: int) -> None:
         """Start empty."""
         self._items: deque[Item] = deque()
-        self._orders: deque[Callable[[], None]] = deque()
+        self._calls: deque[Callable[[], None]] = deque()
         self._capacity = capacity
         self._changed = threading.Condition()
         self._closed = False
         self.dropped = 0  # items that newer ones pushed out
 
     def put(self, item: Item) -> None:
-        """Add an item; returns at once."""
+        """Add an item; return at once."""
         with self._changed:
             self._items.append(item)
             if len(self._items) > self._capacity:
@@ -37,31 +37,31 @@ class WorkQueue(Generic[Item]):
                 self.dropped += 1
             self._changed.notify()
 
-    def order(self, work: Callable[[], Result]) -> Future[Result]:
-        """Have the thread do something between two items."""
+    def submit(self, function: Callable[[], Result]) -> Future[Result]:
+        """Have the thread call a function between two items."""
         future: Future[Result] = Future()
 
-        def done() -> None:
+        def call() -> None:
             try:
-                future.set_result(work())
-            except DcgsError as error:  # shown to who waits for the result
+                future.set_result(function())
+            except DcgsError as error:  # for the caller that waits for the result
                 future.set_exception(error)
-            except BaseException as error:  # a fault, which is to end the thread too
+            except BaseException as error:  # a bug, which ends the thread too
                 future.set_exception(error)
                 raise
 
         with self._changed:
-            self._orders.append(done)
+            self._calls.append(call)
             self._changed.notify()
         return future
 
     def take(self, timeout_s: float) -> Item | None:
-        """Do the orders, and return the oldest item; None after `timeout_s` without one."""
+        """Make the calls, and return the oldest item; None after `timeout_s` without one."""
         with self._changed:
-            if not self._orders and not self._items and not self._closed:
+            if not self._calls and not self._items and not self._closed:
                 self._changed.wait(timeout_s)
-        while self._orders:
-            self._orders.popleft()()
+        while self._calls:
+            self._calls.popleft()()
         with self._changed:
             return self._items.popleft() if self._items else None
 
@@ -71,7 +71,7 @@ class WorkQueue(Generic[Item]):
 
     @property
     def closed(self) -> bool:
-        """Tell whether the thread is to end."""
+        """Whether the thread is to end."""
         return self._closed
 
     def close(self) -> None:

@@ -18,8 +18,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.source import BadFrame, Source
-from dcgs_ros.nodes.harness.processes import wait_until
-from dcgs_ros.nodes.messages.standard import header, write_camera, write_color, write_depth
+from dcgs_ros.nodes.harness.observer import wait_until
+from dcgs_ros.nodes.messages.images import header, write_camera, write_color, write_depth
 from dcgs_ros.nodes.transport import sensor_qos
 
 PERIOD_S = 1 / 30

@@ -51,7 +51,8 @@ def robot(tmp_path: Path) -> Iterator[Any]:
     pytest.importorskip('rclpy')
     from robot import Robot, sequence  # type: ignore[import-not-found]
 
-    from dcgs_ros.nodes.harness.processes import Observer, Processes
+    from dcgs_ros.nodes.harness.observer import Observer
+    from dcgs_ros.nodes.harness.processes import Processes
 
     with Processes(tmp_path) as processes:
         observer = Observer(processes.domain, with_map=True)

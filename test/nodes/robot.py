@@ -11,7 +11,8 @@ from subprocess import Popen
 
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
-from dcgs_ros.nodes.harness.processes import Observer, Processes, sensor_parameters, wait_until
+from dcgs_ros.nodes.harness.observer import Observer, wait_until
+from dcgs_ros.nodes.harness.processes import Processes, sensor_parameters
 
 LOADED_S = 300.0
 SENSOR = Path(__file__).resolve().parents[2] / 'config' / 'tum_fr3.yaml'

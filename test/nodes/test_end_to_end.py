@@ -9,6 +9,7 @@ import signal
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -16,7 +17,7 @@ from robot import LOADED_S, Robot  # type: ignore[import-not-found]
 
 from dcgs_ros.evaluation.trajectory import absolute_trajectory_error
 from dcgs_ros.io.map_archive import read_map
-from dcgs_ros.nodes.harness.processes import Observer, wait_until
+from dcgs_ros.nodes.harness.observer import Observer, wait_until
 from dcgs_ros.nodes.messages.ids import split_ids
 
 pytestmark = pytest.mark.slow
@@ -93,7 +94,7 @@ def nothing_missing(observer: Observer) -> bool:
     return observer.value('dcgs_tracker', 'keyframes_missing') == 0
 
 
-def same_ids(observer: Observer, ids: np.ndarray) -> bool:
+def same_ids(observer: Observer, ids: NDArray[np.int64]) -> bool:
     rows = observer.mirror.rows
     return rows is not None and np.array_equal(rows['id'], np.sort(ids))
 

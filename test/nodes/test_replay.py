@@ -42,7 +42,7 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag.messages import read_header
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.io.ros_images import read_camera, read_color, read_depth, stamp_ns
-from dcgs_ros.nodes.messages.standard import header
+from dcgs_ros.nodes.messages.images import header
 from dcgs_ros.nodes.playback.sources import open_playback
 
 ENDS_S = 30.0  # a process that plays for a second, on a loaded machine
@@ -264,13 +264,13 @@ def test_a_real_sequence_arrives_whole_at_its_own_rate(data_dir: Path) -> None:
 def test_depth_is_sent_in_millimetres_only_where_they_tell_all(
     tum_folder: Callable[..., Path],
 ) -> None:
-    reel = open_playback(str(tum_folder('fr1_small')), None, 'optical', lambda _: None)
+    playback = open_playback(str(tum_folder('fr1_small')), None, 'optical', lambda _: None)
     whole = np.full((480, 640), 1.234, np.float32)
     finer, farther = whole.copy(), whole.copy()
     finer[3, 5], farther[3, 5] = 1.2342, 65.536
     color = np.zeros((480, 640), np.uint8)
     for depth_m, encoding in ((whole, '16UC1'), (finer, '32FC1'), (farther, '32FC1')):
-        messages = dict(reel.messages(RgbdFrame(10, 20, color, depth_m), shift_ns=5))
+        messages = dict(playback.messages(RgbdFrame(10, 20, color, depth_m), shift_ns=5))
         assert messages['depth'].encoding == encoding
         assert messages['color'].encoding == 'mono8'
         assert messages['depth'].header == header(25, 'optical')
@@ -282,9 +282,14 @@ def test_frames_that_cannot_be_read_are_told_and_left_out(tum_folder: Callable[.
     folder = tum_folder('small', frames=3)
     said: list[str] = []
     (folder / 'depth' / '1.png').write_bytes(b'no image')
-    reel = open_playback(str(folder), '50,50,31.5,23.5', 'optical', said.append)
-    assert len(list(reel.items())) == 2
+    playback = open_playback(str(folder), '50,50,31.5,23.5', 'optical', said.append)
+    assert len(list(playback.items())) == 2
     assert len(said) == 1 and 'frame 2 of 3' in said[0]
+
+
+def test_a_synthetic_scene_may_have_options() -> None:
+    playback = open_playback('synthetic:plane?frames=2', None, 'optical', lambda _: None)
+    assert len(list(playback.items())) == 2
 
 
 def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
@@ -299,9 +304,9 @@ def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
 def test_a_bag_of_compressed_images_is_converted(tmp_path: Path) -> None:
     entries = [entry for entry in recording(2) if entry.topic == INFO]
     path = str(write_bag(tmp_path / 'bag', [*entries, *compressed(2)]))
-    reel = open_playback(path, None, 'optical', lambda _: None)
-    for (_, frame), expected in zip(reel.items(), open_source(path), strict=True):
+    playback = open_playback(path, None, 'optical', lambda _: None)
+    for (_, frame), expected in zip(playback.items(), open_source(path), strict=True):
         assert isinstance(expected, RgbdFrame)
-        messages = dict(reel.messages(frame, 0))
+        messages = dict(playback.messages(frame, 0))
         np.testing.assert_array_equal(read_color(messages['color']), expected.color)
         np.testing.assert_array_equal(read_depth(messages['depth']), expected.depth_m)

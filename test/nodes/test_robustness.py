@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -36,16 +37,16 @@ from test_fuzz import (  # type: ignore[import-not-found]
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
-from dcgs_ros.nodes.harness.processes import wait_until
-from dcgs_ros.nodes.messages.keyframes import TOPICS, write_keyframe
-from dcgs_ros.nodes.messages.standard import (
+from dcgs_ros.nodes.harness.observer import wait_until
+from dcgs_ros.nodes.messages.images import (
     header,
     time_message,
     write_camera,
     write_color,
     write_depth_mm,
 )
-from dcgs_ros.nodes.tracking.keyframe_sender import KeyframePacket
+from dcgs_ros.nodes.messages.keyframes import TOPICS, write_keyframe
+from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.transport import RELIABLE
 
 pytestmark = pytest.mark.slow
@@ -107,13 +108,13 @@ def grows(count: Callable[[], int], within_s: float) -> bool:
     return count() > before
 
 
-def cameras(robot: Robot) -> dict[int, np.ndarray]:
+def cameras(robot: Robot) -> dict[int, NDArray[np.float64]]:
     """T_world_cam of the poses that came, by stamp."""
     T_base_cam = se3.from_quaternion(OPTICAL_WXYZ, np.zeros(3))
     return {k: T @ T_base_cam for k, T in list(robot.observer.poses.items())}
 
 
-def errors_m(robot: Robot) -> np.ndarray:
+def errors_m(robot: Robot) -> NDArray[np.float64]:
     """How far each pose is from where the camera was, seen from the first one with truth."""
     truth = robot.source.groundtruth
     poses = cameras(robot)
@@ -346,7 +347,7 @@ def fuzz_keyframes(robot: Robot, count: int) -> None:
     for k in range(count):
         frame = RgbdFrame(k + 1, k + 1, COLOR, DEPTH)
         keyframe = Keyframe(frame, np.eye(4), np.eye(4), np.arange(40), means, means)
-        messages = write_keyframe(KeyframePacket(1, CAMERA, keyframe), 'odom', 'camera')
+        messages = write_keyframe(KeyframePacket(1, CAMERA, keyframe, 'camera'), 'odom')
         name = rng.choice(list(messages))
         if name.endswith('pose'):
             coordinate(messages[name].pose, rng)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -74,7 +75,7 @@ def tf2(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, 'tf2_ros', module)
 
 
-def transform(parent: str, child: str, T: np.ndarray) -> TransformStamped:
+def transform(parent: str, child: str, T: NDArray[np.float64]) -> TransformStamped:
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id = parent
     t, r = message.transform.translation, message.transform.rotation

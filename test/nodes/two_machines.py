@@ -17,7 +17,8 @@ from typing import Any
 import wire  # type: ignore[import-not-found]
 from robot import Robot, sequence  # type: ignore[import-not-found]
 
-from dcgs_ros.nodes.harness.processes import Observer, Processes, wait_until
+from dcgs_ros.nodes.harness.observer import Observer, wait_until
+from dcgs_ros.nodes.harness.processes import Processes
 
 PROFILE = Path(__file__).resolve().parents[2] / 'config' / 'fastdds_network.xml'
 PLAYED_S = 300.0

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DcgsError
+from ..shape import normals_and_flatness
 
 # One plane for each parameter, named like the properties of the common 3DGS PLY.
 PLANES = (
@@ -67,15 +68,4 @@ class Splats:
 
     def shape(self, columns: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the thinnest axes (K, 3), unit, world, and lambda3 / lambda2 (K,) of Sigma_r."""
-        quats = self.quats_wxyz[:, columns]
-        w, x, y, z = quats / np.linalg.norm(quats, axis=0)
-        axes = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
-        scales = self.log_scales[:, columns]
-        thinnest = np.argmin(scales, axis=0)
-        normals = axes[thinnest, :, np.arange(quats.shape[1])]
-        ordered = np.sort(scales, axis=0)
-        return normals, np.exp(2 * (ordered[0] - ordered[1]))
+        return normals_and_flatness(self.log_scales[:, columns], self.quats_wxyz[:, columns])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A mapper that takes whatever keyframes come, and tells what changed; no ROS in it."""
+"""A mapper that takes any keyframes that come, and returns what changed; no ROS in it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,100 +23,108 @@ from ...core.render.renderer import Rendering
 from ...io.map_archive import write_map
 from ...io.ply import write_ply
 from ...io.snapshot import saved_map
-from ..tracking.keyframe_sender import KeyframePacket
+from ..health import Level, Verdict
+from ..messages.packet import KeyframePacket
 
-_RATE_MEMORY_S = 5.0  # over which steps a second are counted
+_RATE_WINDOW_S = 5.0  # over which steps per second are counted
+_BEHIND = 8  # waiting keyframes that are worth a warning
 
 
-class Mapping:
+class MappingSession:
     """One map after the other: the first usable keyframe of a new epoch begins a new one.
 
-    All of it belongs to one thread.
+    All but `judge` and `figures` belongs to one thread.
     """
 
-    def __init__(self, config: Config, say: Callable[[str], None]) -> None:
-        """Wait for the first keyframe; `say` is told what a user should know."""
-        self.config, self._say = config, say
+    def __init__(self, config: Config, warn: Callable[[str], None]) -> None:
+        """Wait for the first keyframe; `warn` gets the lines for the log."""
+        self.config, self._warn = config, warn
         self._workers = Workers(config.threads or max(1, cores() - 1))
         self.mapper: Mapper | None = None
         self.epoch = 0
-        self.stamps: set[int] = set()  # of the keyframes taken
+        self.camera_frame = ''  # frame_id of the images, as last received
+        self.stamps: set[int] = set()  # of the keyframes in the map
         self.refused = 0
-        self._rested = 0  # steps since the last keyframe
+        self._received_s: float | None = None  # monotonic time of the last keyframe
+        self._steps_since_keyframe = 0
         self._counted, self._counted_s, self.steps_per_s = 0, time.monotonic(), 0.0
 
-    def take(self, offer: KeyframePacket) -> MapUpdate | None:
-        """Insert a keyframe; None where it is here already or cannot be used.
+    def insert(self, packet: KeyframePacket) -> MapUpdate | None:
+        """Insert a keyframe or a view; return None where it is here already or is refused.
 
-        Views without Gaussians do not tell whose they are: before the first keyframe they wait in
-        vain.
+        Views do not tell their epoch: before the first keyframe they are ignored.
         """
-        stamp_ns = offer.keyframe.frame.stamp_ns
-        begins = offer.epoch not in (0, self.epoch)
-        mapper = self._another(offer) if begins else self.mapper
-        if mapper is None or (stamp_ns in self.stamps and not begins):
+        begins = packet.epoch not in (0, self.epoch)
+        mapper = self._new_mapper(packet) if begins else self.mapper
+        if mapper is None or (packet.stamp_ns in self.stamps and not begins):
             return None
         try:
-            mapper.insert(offer.keyframe)
+            mapper.insert(packet.posed)
         except DcgsError as error:
-            self.refused += 1
-            self._say(f'keyframe refused: {error}')
+            self.refuse(error)
             return None
         if begins:
-            self._begin(mapper, offer.epoch)
-        self.stamps.add(stamp_ns)
-        self._rested = 0
+            self._begin(mapper, packet.epoch)
+        self.stamps.add(packet.stamp_ns)
+        self.camera_frame = packet.camera_frame
+        self._received_s = time.monotonic()
+        self._steps_since_keyframe = 0
         return mapper.update()
 
-    def _another(self, offer: KeyframePacket) -> Mapper:
+    def refuse(self, error: DcgsError) -> None:
+        """Count a keyframe that cannot be used, and warn."""
+        self.refused += 1
+        self._warn(f'keyframe refused: {error}')
+
+    def _new_mapper(self, packet: KeyframePacket) -> Mapper:
         renderer = make_renderer(self._workers)
-        return Mapper(offer.camera, self.config, renderer, self._workers)
+        return Mapper(packet.camera, self.config, renderer, self._workers)
 
     def _begin(self, mapper: Mapper, epoch: int) -> None:
         if self.mapper is not None:
-            self._say(f'the tracker began a new map: {len(self.mapper.table)} Gaussians are gone')
+            self._warn(f'the tracker began a new map: {len(self.mapper.table)} Gaussians are gone')
         self.reset()
         self.mapper, self.epoch = mapper, epoch
 
     def reset(self) -> None:
-        """Drop the map; what keyframes the tracker has it may offer again."""
+        """Drop the map; keyframes that the tracker keeps may come again."""
         self.mapper, self.epoch = None, 0
         self.stamps.clear()
 
     def reconfigure(self, config: Config) -> None:
-        """Take other settings over, those that may change at run time."""
+        """Apply settings that may change at run time."""
         self.config = config
         if self.mapper is not None:
             self.mapper.config = config
 
     def advance(self) -> bool:
-        """Take an optimisation step, unless there is nothing to do: a map can be finished."""
+        """Take an optimisation step; return False where the map has had all its steps."""
         self._count()
         mapper = self.mapper
         if mapper is None or not mapper.views:
             return False
-        if self._rested >= mapper.config.mapping.final_steps:
+        if self._steps_since_keyframe >= mapper.config.mapping.final_steps:
             return False
         mapper.step()
-        self._rested += 1
+        self._steps_since_keyframe += 1
         return True
 
     def _count(self) -> None:
         now = time.monotonic()
-        if now - self._counted_s > _RATE_MEMORY_S:
+        if now - self._counted_s > _RATE_WINDOW_S:
             steps = self.mapper.steps if self.mapper is not None else 0
             self.steps_per_s = max(0, steps - self._counted) / (now - self._counted_s)
             self._counted, self._counted_s = steps, now
 
-    def view(self, stamp_ns: int, T_tracked: NDArray[np.float64]) -> Rendering | None:
-        """Render from where the tracker says the camera is; None without a map."""
+    def render(self, stamp_ns: int, T_tracked: NDArray[np.float64]) -> Rendering | None:
+        """Render from the tracker's camera pose (4, 4), corrected; return None without a map."""
         mapper = self.mapper
         if mapper is None or not mapper.views:
             return None
         return mapper.render(mapper.corrections().pose(stamp_ns, T_tracked))
 
     def save(self, folder: Path) -> str:
-        """Write map.ply and map.dcgs into a new folder of `folder`; returns what was written.
+        """Write map.ply and map.dcgs into a new folder within `folder`; return what was written.
 
         Raises a `DcgsError` where there is no map or it cannot be written.
         """
@@ -130,6 +139,30 @@ class Mapping:
         write_ply(path / 'map.ply', saved.splats)
         write_map(path / 'map.dcgs', saved)
         return f'{len(saved.splats)} Gaussians, {len(saved.keyframes)} keyframes in {path}'
+
+    def judge(self, waiting: int) -> Verdict:
+        """Return how mapping goes while so many keyframes wait."""
+        if self.mapper is None or self._received_s is None:
+            text = 'no keyframes yet: is the tracker running and tracking?'
+            return Verdict(Level.WARN, text)
+        if waiting > _BEHIND:
+            return Verdict(Level.WARN, f'{waiting} keyframes wait: the mapper is behind')
+        return Verdict(Level.OK, 'mapping')
+
+    def figures(self) -> dict[str, Any]:
+        """Return what diagnostics show of mapping."""
+        shown: dict[str, Any] = {'refused': self.refused, 'steps_per_s': self.steps_per_s}
+        mapper = self.mapper
+        if mapper is not None:
+            shown |= {
+                'gaussians': len(mapper.table),
+                'keyframes': len(mapper.views),
+                'steps': mapper.steps,
+                'poisoned': mapper.poisoned,
+            }
+        if self._received_s is not None:
+            shown['s_since_keyframe'] = time.monotonic() - self._received_s
+        return shown
 
     def close(self) -> None:
         """End the threads."""

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Structured arrays as PointCloud2 and back, and the rows that travel.
+"""Structured arrays as PointCloud2 and back, and the types of their rows.
 
-A Gaussian's `id` is a float64 on the wire, as no integer of 64 bits is a PointField: exact below
-2^53.
+A Gaussian's `id` is a float64, exact below 2^53, since PointField has no 64-bit integer.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from ...io.ros_images import MessageError
-from .standard import array_of
+from .images import array_of
 
 _TYPES = {
     'i4': PointField.INT32,
@@ -24,17 +25,18 @@ _TYPES = {
 }
 
 
-def _row(floats: str, *others: tuple[str, str]) -> np.dtype:
-    """Type of a row: its id, named floats, then other fields; without padding."""
+def _row(floats: str, *others: tuple[str, str]) -> np.dtype[Any]:
+    """Return the type of a row: its id, named floats, then other fields, without padding."""
     return np.dtype([('id', '<f8'), *((name, '<f4') for name in floats.split()), *others])
 
 
-# What a keyframe spawned: mean, the viewpoint it was seen from and its normal; world, metres.
+# What a keyframe spawned: mean, the viewpoint it was seen from, and normal; world, metres.
 KEYFRAME_GAUSSIAN = _row('x y z viewpoint_x viewpoint_y viewpoint_z normal_x normal_y normal_z')
-# What the mapper made of Sigma_r: its thinnest axis, and lambda3 / lambda2.
+# Sigma_r in the mapper's answer: its thinnest axis, unit, world, and lambda3 / lambda2.
 SHAPE = _row('normal_x normal_y normal_z flatness')
-# rgb is packed as PCL and RViz have it, opacity in 0..1, scale standard deviations in metres, rot
-# wxyz, track_cov in m^2 (NaN for the mapper's own), keyframe a row of the keyframes' cloud.
+# x y z in metres, world; rgb packed as in PCL and RViz; opacity 0..1; scale: standard deviations,
+# metres; rot: wxyz; track_cov in m^2, NaN for the mapper's own; keyframe: a row (KEYFRAME_POSE) of
+# keyframe/received.
 MAP_GAUSSIAN = _row(
     'x y z rgb opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3'
     ' track_cov_xx track_cov_xy track_cov_xz track_cov_yy track_cov_yz track_cov_zz',
@@ -45,8 +47,8 @@ KEYFRAME_POSE = np.dtype(
 )
 
 
-def write_cloud(rows: NDArray, header: Header) -> PointCloud2:
-    """Rows (N,) of any of these types; a row may be NaN, so the cloud is not dense."""
+def write_cloud(rows: NDArray[Any], header: Header) -> PointCloud2:
+    """Return rows (N,) of any of these types as a cloud, not dense since a row may be NaN."""
     cloud = PointCloud2(header=header, height=1, width=len(rows), is_dense=False)
     cloud.fields = [
         PointField(name=name, offset=offset, datatype=_datatype(kind), count=1)
@@ -58,11 +60,11 @@ def write_cloud(rows: NDArray, header: Header) -> PointCloud2:
     return cloud
 
 
-def read_cloud(cloud: PointCloud2, dtype: np.dtype) -> NDArray:
-    """Rows (N,) of `dtype`, its fields found by their names, wherever they are in a point.
+def read_cloud(cloud: PointCloud2, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return rows (N,) of `dtype`; fields are found by name, at any offset of a point.
 
-    Raises `MessageError` where a field is absent or of another type, or the sizes contradict
-    each other or the data.
+    Raises `MessageError` where a field is absent or of another type, or where the sizes
+    contradict each other or the data.
     """
     width, height, step, pitch = cloud.width, cloud.height, cloud.point_step, cloud.row_step
     if width * height == 0:
@@ -74,8 +76,8 @@ def read_cloud(cloud: PointCloud2, dtype: np.dtype) -> NDArray:
         raise MessageError(f'a point has {step} bytes, its fields {needed}')
     if pitch < width * step or len(cloud.data) < height * pitch:
         raise MessageError(
-            f'{width}x{height} points of {step} bytes in rows of {pitch} bytes are no '
-            f'{len(cloud.data)} bytes'
+            f'{width}x{height} points of {step} bytes in rows of {pitch} bytes do not '
+            f'match {len(cloud.data)} bytes of data'
         )
     data = np.frombuffer(cloud.data, np.uint8)
     rows = np.zeros(width * height, dtype)
@@ -87,24 +89,24 @@ def read_cloud(cloud: PointCloud2, dtype: np.dtype) -> NDArray:
 
 
 def pack_rgb(colors: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Colours (N, 3) RGB as float32 (N,) whose bits are 0x00RRGGBB."""
+    """Return colours (N, 3) RGB as float32 (N,) with the bits 0x00RRGGBB."""
     red, green, blue = colors.astype(np.uint32).T
     return (red << 16 | green << 8 | blue).view(np.float32)
 
 
 def unpack_rgb(packed: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Colours (N, 3) RGB of `pack_rgb`'s float32 (N,)."""
+    """Return the colours (N, 3) RGB that `pack_rgb` packed into float32 (N,)."""
     bits = np.ascontiguousarray(packed, np.float32).view(np.uint32)
     return np.stack([bits >> 16, bits >> 8, bits], axis=-1).astype(np.uint8)
 
 
-def _datatype(kind: np.dtype) -> int:
-    """PointField's number of a type."""
+def _datatype(kind: np.dtype[Any]) -> int:
+    """Return PointField's number of a type."""
     return _TYPES[kind.str[1:]]
 
 
-def _offsets(cloud: PointCloud2, dtype: np.dtype) -> dict[str, int]:
-    """Where in a point each field of `dtype` is."""
+def _offsets(cloud: PointCloud2, dtype: np.dtype[Any]) -> dict[str, int]:
+    """Return the byte at which each field of `dtype` begins in a point."""
     fields = {field.name: field for field in cloud.fields}
     offsets = {}
     for name in dtype.names or ():
@@ -127,5 +129,5 @@ def _offsets(cloud: PointCloud2, dtype: np.dtype) -> dict[str, int]:
 
 
 def _listed(fields: dict[str, PointField]) -> str:
-    """Name a message's fields, within a line."""
+    """Return the names of a message's fields, cut to fit one line."""
     return (', '.join(fields) or 'none')[:200]

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ids of Gaussians between the nodes: those of two maps are never the same.
+"""Ids of Gaussians between the nodes; those of two maps never coincide.
 
-A map has a number, its epoch, from 1 below 2^20. The tracker's Gaussian k has the id
-epoch * 2^32 + k, which a FLOAT64 field holds exactly; ids below 0 are the mapper's own.
+Each map has a number, its epoch, from 1 to 2^20 - 1. Between the nodes the tracker's Gaussian k
+has the id epoch * 2^32 + k, which a FLOAT64 field holds exactly. Ids below 0 are those of the
+Gaussians that the mapper added.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ EPOCHS = 1 << 20
 
 
 def joined_ids(epoch: int, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Ids (N,) between the nodes of a tracker's."""
+    """Return the ids (N,) between the nodes for ids (N,) of the tracker."""
     return ids + epoch * EPOCH
 
 
 def split_ids(ids: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Epochs (N,), 0 for the mapper's own, and the tracker's ids (N,)."""
+    """Return epochs (N,), 0 for the mapper's own Gaussians, and the tracker's ids (N,)."""
     epochs = np.where(ids < 0, 0, ids // EPOCH)
     return epochs, ids - epochs * EPOCH

@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from ...core import se3
 from ...core.frame import RgbdFrame
-from ...core.keyframe import Keyframe, MapUpdate
+from ...core.keyframe import Keyframe, MapUpdate, PosedFrame
 from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
-from ..tracking.keyframe_sender import KeyframePacket
 from .clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
 from .ids import EPOCH, joined_ids, split_ids
+from .images import header, write_camera, write_color, write_depth_mm
+from .packet import KeyframePacket
 from .poses import matrix, pose_stamped
-from .standard import header, write_camera, write_color, write_depth_mm
 
 TOPICS: dict[str, type] = {
     'color': Image,
@@ -31,55 +32,77 @@ TOPICS: dict[str, type] = {
 }
 
 
-def write_keyframe(offer: KeyframePacket, world: str, camera_frame: str) -> dict[str, Any]:
-    """One message a topic. `pose` is at the colour's instant, `depth_pose` at the depth's."""
-    keyframe = offer.keyframe
-    frame, T_world_cam = keyframe.frame, keyframe.T_world_cam
-    seen, placed = header(frame.stamp_ns, camera_frame), header(frame.stamp_ns, world)
-    rows = np.zeros(len(keyframe.ids), KEYFRAME_GAUSSIAN)
-    rows['id'] = joined_ids(offer.epoch, keyframe.ids)
-    for k, axis in enumerate('xyz'):
-        rows[axis] = keyframe.means[:, k]
-        rows[f'viewpoint_{axis}'] = T_world_cam[k, 3]
-        rows[f'normal_{axis}'] = keyframe.normals[:, k]
+def write_keyframe(packet: KeyframePacket, world: str) -> dict[str, Any]:
+    """Return a message for each of `TOPICS`; a view has an empty `gaussians` cloud.
+
+    `pose` is the camera's at the instant of colour, `depth_pose` at that of depth, both in the
+    frame `world`.
+    """
+    posed = packet.posed
+    frame, T_world_cam = posed.frame, posed.T_world_cam
+    in_camera = header(frame.stamp_ns, packet.camera_frame)
+    in_world = header(frame.stamp_ns, world)
     return {
-        'color': write_color(frame.color, seen),
-        'depth': write_depth_mm(frame.depth_m, seen),
-        'camera_info': write_camera(offer.camera, seen),
-        'pose': pose_stamped(T_world_cam, placed),
-        'depth_pose': pose_stamped(T_world_cam @ keyframe.T_cam_cam_at_depth, placed),
-        'gaussians': write_cloud(rows, placed),
+        'color': write_color(frame.color, in_camera),
+        'depth': write_depth_mm(frame.depth_m, in_camera),
+        'camera_info': write_camera(packet.camera, in_camera),
+        'pose': pose_stamped(T_world_cam, in_world),
+        'depth_pose': pose_stamped(T_world_cam @ posed.T_cam_cam_at_depth, in_world),
+        'gaussians': write_cloud(_gaussian_rows(packet), in_world),
     }
 
 
-def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
-    """Make the keyframe of its messages; ids are those between the nodes, epoch 0 if it has none.
+def _gaussian_rows(packet: KeyframePacket) -> NDArray[Any]:
+    """Return KEYFRAME_GAUSSIAN rows (N,)."""
+    keyframe = packet.posed
+    if not isinstance(keyframe, Keyframe):
+        return np.zeros(0, KEYFRAME_GAUSSIAN)
+    rows = np.zeros(len(keyframe.ids), KEYFRAME_GAUSSIAN)
+    rows['id'] = joined_ids(packet.epoch, keyframe.ids)
+    for k, axis in enumerate('xyz'):
+        rows[axis] = keyframe.means[:, k]
+        rows[f'viewpoint_{axis}'] = keyframe.T_world_cam[k, 3]
+        rows[f'normal_{axis}'] = keyframe.normals[:, k]
+    return rows
 
-    Raises a `DcgsError` where they cannot be one.
+
+def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
+    """Return the keyframe, or the view where there are no Gaussians, of a message per topic.
+
+    Ids are those between the nodes; the epoch of a view is 0. Raises a `DcgsError` where the
+    messages cannot be used.
     """
     rows = read_cloud(parts['gaussians'], KEYFRAME_GAUSSIAN)
-    ids = _ids(rows)
+    ids = _whole_ids(rows)
     epochs = np.unique(split_ids(ids)[0])
     if len(epochs) > 1 or (epochs == 0).any():
-        raise MessageError(f'Gaussians of a keyframe are of epochs {epochs[:5].tolist()}')
+        raise MessageError(f'Gaussians of a keyframe are of epochs {epochs[:5].tolist()}, not one')
     T_world_cam = matrix(parts['pose'].pose)
-    stamp = stamp_ns(parts['color'].header.stamp)
-    keyframe = Keyframe(
-        RgbdFrame(stamp, stamp, read_color(parts['color']), read_depth(parts['depth'])),
+    color = parts['color']
+    stamp = stamp_ns(color.header.stamp)
+    posed = PosedFrame(
+        RgbdFrame(stamp, stamp, read_color(color), read_depth(parts['depth'])),
         T_world_cam,
         se3.inverse(T_world_cam) @ matrix(parts['depth_pose'].pose),
+    )
+    camera = read_camera(parts['camera_info'])
+    if not len(ids):
+        return KeyframePacket(0, camera, posed, color.header.frame_id)
+    keyframe = Keyframe(
+        posed.frame,
+        posed.T_world_cam,
+        posed.T_cam_cam_at_depth,
         ids,
         np.stack([rows[axis] for axis in 'xyz'], axis=1),
         np.stack([rows[f'normal_{axis}'] for axis in 'xyz'], axis=1),
     )
-    epoch = int(epochs[0]) if len(epochs) else 0
-    return KeyframePacket(epoch, read_camera(parts['camera_info']), keyframe)
+    return KeyframePacket(int(epochs[0]), camera, keyframe, color.header.frame_id)
 
 
 def write_answer(update: MapUpdate, stamp: int, world: str) -> PointCloud2:
-    """How the tracker's Gaussians changed, ids being those between the nodes.
+    """Return how the tracker's Gaussians changed; ids are those between the nodes.
 
-    A row of a removed one is NaN but for its id.
+    The row of a removed Gaussian is NaN except for its id.
     """
     kept = len(update.ids)
     rows = np.full(kept + len(update.removed), np.nan, SHAPE)
@@ -91,11 +114,14 @@ def write_answer(update: MapUpdate, stamp: int, world: str) -> PointCloud2:
 
 
 def read_answer(cloud: PointCloud2) -> tuple[int, MapUpdate]:
-    """Epoch and update, ids being the tracker's; raises `MessageError` where it is of no map."""
+    """Return epoch and update, with the tracker's ids.
+
+    Raises `MessageError` where the Gaussians are not all of one map.
+    """
     rows = read_cloud(cloud, SHAPE)
-    epochs, ids = split_ids(_ids(rows))
+    epochs, ids = split_ids(_whole_ids(rows))
     if len(rows) and (epochs.min() != epochs.max() or epochs[0] == 0):
-        raise MessageError(f'an answer is of epochs {epochs.min()} to {epochs.max()}')
+        raise MessageError(f'an answer is of epochs {epochs.min()} to {epochs.max()}, not one')
     normals = np.stack([rows[f'normal_{axis}'] for axis in 'xyz'], axis=1)
     kept = np.isfinite(normals).all(axis=1)
     update = MapUpdate(
@@ -104,9 +130,9 @@ def read_answer(cloud: PointCloud2) -> tuple[int, MapUpdate]:
     return (int(epochs[0]) if len(rows) else 0), update
 
 
-def _ids(rows: np.ndarray) -> np.ndarray:
-    """Whole numbers of the `id` field."""
+def _whole_ids(rows: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the `id` field (N,) as integers; raise `MessageError` where one is not whole."""
     ids = rows['id']
     if not ((np.abs(ids) < EPOCH * EPOCH / 2048) & (ids == np.floor(ids))).all():  # also NaN
-        raise MessageError('an id is no whole number below 2^53')
+        raise MessageError('an id is not a whole number below 2^53')
     return ids.astype(np.int64)

@@ -1,68 +1,56 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper's map and its keyframes as rows of clouds."""
+"""The mapper's map and its keyframes as rows of clouds: updates, and what the tracker reads.
+
+`map_rows.py` makes the rows. Nothing of the mapper is imported here, since the tracker reads them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core import se3
-from ...core.mapping.mapper import Mapper
-from ...core.mapping.splats import SH_C0
-from ...core.mapping.views import KeyframeView
 from ...io.ros_images import MessageError
-from ...io.snapshot import as_hosts_saw
-from .clouds import KEYFRAME_POSE, MAP_GAUSSIAN, pack_rgb
 
-UPDATES_KEPT = 32  # for those who come late: more than there are between two whole maps
-_ELEMENTS = ('xx', 'xy', 'xz', 'yy', 'yz', 'zz')
+UPDATES_KEPT = 32  # for late subscribers: more than are sent between two whole maps
 
 
-def map_rows(mapper: Mapper) -> NDArray:
-    """All Gaussians (N,) in ascending order of id, as MAP_GAUSSIAN; none that is not finite."""
-    table = mapper.table
-    order = np.argsort(table.ids)
-    with np.errstate(invalid='ignore', over='ignore'):
-        scales = np.exp(table.splats.log_scales[:, order])
-        quats = table.splats.quats_wxyz[:, order].astype(np.float64)
-        quats /= np.linalg.norm(quats, axis=0)
-        opacities = 1.0 / (1.0 + np.exp(-table.splats.opacity_logits[order]))
-    finite = np.isfinite(table.splats.planes[:, order]).all(axis=0)
-    finite &= np.isfinite(scales).all(axis=0) & np.isfinite(quats).all(axis=0)
-    order, scales, quats = order[finite], scales[:, finite], quats[:, finite]
-    planes = table.splats.planes[:, order]
-    rows = np.zeros(len(order), MAP_GAUSSIAN)
-    rows['id'] = table.ids[order]
-    for k, axis in enumerate('xyz'):
-        rows[axis] = planes[k]
-        rows[f'scale_{k}'] = scales[k]
-    for k in range(4):
-        rows[f'rot_{k}'] = quats[k]
-    rows['opacity'] = opacities[finite]
-    colors = (0.5 + SH_C0 * planes[11:14].T).clip(0.0, 1.0)
-    rows['rgb'] = pack_rgb(np.rint(255.0 * colors).astype(np.uint8))
-    rows['keyframe'] = table.hosts[order]
-    covariances = as_hosts_saw(mapper)[1][order]
-    for k, element in enumerate(_ELEMENTS):
-        rows[f'track_cov_{element}'] = covariances[:, k]
-    return rows
+def changes(before: NDArray[Any], now: NDArray[Any]) -> NDArray[Any]:
+    """Return the update (K,) that leads from one map to another: what changed or was removed.
+
+    Both maps (N,), (M,) are MAP_GAUSSIAN rows in ascending order of id. The row of a removed
+    Gaussian is NaN except for its id.
+    """
+    at = np.searchsorted(before['id'], now['id'])
+    at[at == len(before)] = 0
+    same = np.zeros(len(now), np.bool_)
+    if len(before):
+        plain = f'V{now.dtype.itemsize}'
+        same = before.view(plain)[at] == now.view(plain)
+    gone = np.setdiff1d(before['id'], now['id'], assume_unique=True)
+    removed = np.zeros(len(gone), now.dtype)
+    for name in now.dtype.names or ():
+        if now.dtype[name].kind == 'f':
+            removed[name] = np.nan
+    removed['id'] = gone
+    return np.concatenate([now[~same], removed])
 
 
-def keyframe_rows(views: Sequence[KeyframeView]) -> NDArray:
-    """Stamps and refined poses of what the mapper has, as KEYFRAME_POSE; the row is the index."""
-    rows = np.zeros(len(views), KEYFRAME_POSE)
-    for k, view in enumerate(views):
-        w, x, y, z = se3.to_quaternion(view.T_world_cam)
-        stamp = divmod(view.stamp_ns, 1_000_000_000)
-        rows[k] = (*stamp, *view.T_world_cam[:3, 3], x, y, z, w)
-    return rows
+def updated(rows: NDArray[Any], update: NDArray[Any]) -> NDArray[Any]:
+    """Return the map (M,) after an update (K,) of `changes` to the map (N,)."""
+    left = rows[~np.isin(rows['id'], update['id'])]
+    together = np.concatenate([left, update[~np.isnan(update['x'])]])
+    return together[np.argsort(together['id'])]
 
 
-def read_poses(rows: NDArray) -> list[NDArray[np.float64]]:
-    """Poses T_world_cam (4, 4) of KEYFRAME_POSE rows; raises `MessageError` where one is none."""
+def read_poses(rows: NDArray[Any]) -> list[NDArray[np.float64]]:
+    """Return the poses T_world_cam (4, 4) of KEYFRAME_POSE rows (N,).
+
+    Raises `MessageError` where one is not finite or its quaternion is zero.
+    """
     quats = np.stack([rows[name] for name in ('qw', 'qx', 'qy', 'qz')], axis=1)
     positions = np.stack([rows[axis] for axis in 'xyz'], axis=1)
     usable = (
@@ -73,6 +61,6 @@ def read_poses(rows: NDArray) -> list[NDArray[np.float64]]:
     return list(se3.from_quaternion(quats.astype(np.float64), positions.astype(np.float64)))
 
 
-def read_stamps(rows: NDArray) -> list[int]:
-    """Stamps, nanoseconds, of KEYFRAME_POSE rows."""
+def read_stamps(rows: NDArray[Any]) -> list[int]:
+    """Return the stamps, nanoseconds, of KEYFRAME_POSE rows (N,)."""
     return (rows['sec'].astype(np.int64) * 1_000_000_000 + rows['nanosec']).tolist()

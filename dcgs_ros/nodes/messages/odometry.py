@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The camera's motion as that of the body that carries it: nav_msgs/Odometry."""
+"""The camera's motion as that of the base it is mounted on: nav_msgs/Odometry."""
 
 from __future__ import annotations
 
@@ -14,24 +14,27 @@ from ...core import se3
 from .poses import pose_message
 
 
-class Body:
-    """A rigid body, the base, and where on it the camera is.
+class CameraToBase:
+    """Turns poses, covariances and velocities of the camera into those of the base.
 
-    With the camera at T_world_cam exp(xi), the base is at T_odom_base exp(Ad xi), Ad being the
-    adjoint of T_base_cam: errors and velocities of the one become those of the other by Ad.
+    With the camera at T_world_cam exp(xi), the base is at T_odom_base exp(Ad xi), where Ad is the
+    adjoint of T_base_cam: it maps errors and velocities of the camera to those of the base.
     """
 
-    def __init__(self, T_base_cam: NDArray) -> None:
-        """Take the camera's (4, 4) optical frame in the base's."""
+    def __init__(self, T_base_cam: NDArray[np.float64]) -> None:
+        """Take the pose (4, 4) of the camera's optical frame in the base frame."""
+        self.T_base_cam = T_base_cam
         self._T_cam_base = se3.inverse(T_base_cam)
         self._adjoint = se3.adjoint(T_base_cam)
 
-    def pose(self, T_world_cam: NDArray) -> NDArray[np.float64]:
-        """T_odom_base (4, 4) where the camera is at `T_world_cam`; odom is the world."""
+    def pose(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return T_odom_base (4, 4) for the camera at `T_world_cam`; odom is the world."""
         return T_world_cam @ self._T_cam_base
 
-    def covariance(self, cov_cam: NDArray, T_odom_base: NDArray) -> NDArray[np.float64]:
-        """Covariance (6, 6) of the base as ROS has it: x y z, then turns about odom's axes.
+    def covariance(
+        self, cov_cam: NDArray[np.floating], T_odom_base: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of the base in ROS's order: x y z, turns about odom's axes.
 
         `cov_cam` (6, 6) is that of xi in T_world_cam exp(xi), translation first: m^2, rad^2.
         """
@@ -40,9 +43,9 @@ class Body:
         return _propagated(axes @ self._adjoint, cov_cam)
 
     def twist(
-        self, twist_cam: NDArray, cov_cam: NDArray
+        self, twist_cam: NDArray[np.floating], cov_cam: NDArray[np.floating]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Velocity (6,) of the base along its own axes, m/s and rad/s, and its covariance.
+        """Return the velocity (6,) of the base along its own axes, m/s and rad/s, and covariance.
 
         `twist_cam` (6,) and `cov_cam` (6, 6) are the camera's, along the camera's axes.
         """
@@ -52,12 +55,12 @@ class Body:
 def odometry_message(
     header: Header,
     child_frame: str,
-    T_odom_base: NDArray,
-    covariance: NDArray,
-    twist: NDArray,
-    twist_covariance: NDArray,
+    T_odom_base: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    twist: NDArray[np.float64],
+    twist_covariance: NDArray[np.float64],
 ) -> Odometry:
-    """Odometry of `child_frame` in the header's frame, from what `Body` returns."""
+    """Return the Odometry of `child_frame` in the header's frame; arrays as of `CameraToBase`."""
     message = Odometry(header=header, child_frame_id=child_frame)
     message.pose.pose = pose_message(T_odom_base)
     message.pose.covariance = np.asarray(covariance, np.float64).ravel()
@@ -68,7 +71,7 @@ def odometry_message(
     return message
 
 
-def _propagated(J: NDArray, covariance: NDArray) -> NDArray[np.float64]:
-    """J C J', symmetric to the last bit."""
+def _propagated(J: NDArray[np.float64], covariance: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return J C J', exactly symmetric."""
     moved = J @ covariance @ J.T
     return 0.5 * (moved + moved.T)

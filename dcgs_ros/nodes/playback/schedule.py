@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When what is replayed, and what the clock says then; no ROS here."""
+"""When each item of a recording is due, and the clock then; no ROS in it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _TICK_S = 0.025  # the clock's interval where no frame comes
 
 @dataclass(frozen=True)
 class ScheduledItem(Generic[Item]):
-    """When an item is due."""
+    """An item with the time when it is due."""
 
-    elapsed_ns: int  # of the recording's time since the playback began
-    clock_ns: int  # what the clock says then
+    elapsed_ns: int  # since the playback began, in the recording's time
+    clock_ns: int  # time of the clock when it is due
     shift_ns: int  # to be added to the item's own stamps
     item: Item
 
@@ -35,11 +35,12 @@ def schedule(
     loop: bool = False,
     continuous_stamps: bool = False,
 ) -> Iterator[ScheduledItem[Item]]:
-    """Time the items of a recording, (stamp in ns, item) each, that `begin` reads from the first.
+    """Yield the items, (stamp in ns, item) each, of a recording, which `begin` reads anew.
 
-    They come in their order, one whose stamp is before its predecessor's together with that. 0 s
-    is the first item's stamp; a duration of 0 lasts to the end. In a loop the stamps jump back
-    each time, or are shifted to go on. Raises `SourceError` where there is nothing to play.
+    The order is kept; an item with an earlier stamp than the one before is due together with it.
+    `start_s` counts from the first stamp; a duration of 0 lasts to the end. In a loop the stamps
+    jump back each time, or are shifted to go on. Raises `SourceError` where nothing is to be
+    played.
     """
     elapsed_ns = 0
     while True:
@@ -60,36 +61,38 @@ def schedule(
 
 
 class Pacer:
-    """Waits until cues are due, `rate` times as fast as they were recorded; 0: does not wait."""
+    """Waits until items are due, `rate` times as fast as they were recorded; 0: never waits."""
 
     def __init__(self, rate: float, tick: Callable[[int], None], stop: threading.Event) -> None:
-        """`tick` gets the clock with each cue, and while there is none; `stop` ends a wait."""
+        """`tick` gets the clock with each item, and between items; `stop` ends a wait."""
         self._rate = rate
         self._tick = tick
         self._stop = stop
         self._start_s: float | None = None
         self._elapsed_ns = 0
 
-    def wait(self, cue: ScheduledItem[Any]) -> bool:
-        """Return when it is due: True; or at once when stopped: False."""
+    def wait(self, scheduled: ScheduledItem[Any]) -> bool:
+        """Return True when an item is due, False as soon as stopped."""
         if self._start_s is None:
             self._start_s = time.monotonic()
         if self._rate:
-            due_s = self._start_s + 1e-9 * cue.elapsed_ns / self._rate
+            due_s = self._start_s + 1e-9 * scheduled.elapsed_ns / self._rate
             while (left_s := due_s - time.monotonic()) > 0:
-                left_ns = min(round(1e9 * left_s * self._rate), cue.elapsed_ns - self._elapsed_ns)
-                self._tick(cue.clock_ns - left_ns)
+                left_ns = min(
+                    round(1e9 * left_s * self._rate), scheduled.elapsed_ns - self._elapsed_ns
+                )
+                self._tick(scheduled.clock_ns - left_ns)
                 if self._stop.wait(min(left_s, _TICK_S)):
                     return False
-        self._elapsed_ns = cue.elapsed_ns
-        self._tick(cue.clock_ns)
+        self._elapsed_ns = scheduled.elapsed_ns
+        self._tick(scheduled.clock_ns)
         return not self._stop.is_set()
 
 
 def _cut(
     items: Iterable[tuple[int, Item]], start_ns: int, duration_ns: int
 ) -> Iterator[tuple[int, Item]]:
-    """Begin with the first that is not before the start, end with the last in the duration."""
+    """Yield from the first item that is not before the start to the last within the duration."""
     first_ns, begun = None, False
     for stamp_ns, item in items:
         if first_ns is None:

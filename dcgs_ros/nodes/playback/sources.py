@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What can be replayed, as messages of a camera: frames that are converted, bags that are not."""
+"""Recordings as messages of a camera: frames that are converted, bags that are not."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...datasets.bag.storage.files import is_bag
 from ...datasets.bag.topics import CameraTopics, split_topics
 from ...datasets.open import open_source
 from ...datasets.source import BadFrame, Source, SourceError
-from ..messages.standard import header, write_camera, write_color, write_exact_depth
+from ..messages.images import header, write_camera, write_color, write_exact_depth
 
 Output = Literal['camera_info', 'color', 'depth']
 
@@ -28,33 +28,33 @@ class PlaybackSource(Protocol):
     camera_frame: str
 
     def items(self) -> Iterator[tuple[int, Any]]:
-        """Read the recording anew: what is due when, in ns of its own clock."""
+        """Yield the recording from its start: (stamp in ns, item) each."""
         ...
 
     def messages(self, item: Any, shift_ns: int) -> list[tuple[Output, Any]]:
-        """Messages of an item, in the order they are to be published, their stamps shifted."""
+        """Return the messages of an item in the order of publishing, with their stamps shifted."""
         ...
 
 
 class FramePlayback:
-    """Frames of a source; each is due when the later one of its stamps is."""
+    """Frames of a source, each due at the later one of its stamps."""
 
-    def __init__(self, source: Source, camera_frame: str, say: Callable[[str], None]) -> None:
-        """`say` is told of frames that cannot be read."""
+    def __init__(self, source: Source, camera_frame: str, warn: Callable[[str], None]) -> None:
+        """`warn` gets a line for each frame that cannot be read."""
         self._source = source
         self.camera_frame = camera_frame
-        self._say = say
+        self._warn = warn
 
     def items(self) -> Iterator[tuple[int, RgbdFrame]]:
-        """Read the frames, without the bad ones."""
+        """Yield the frames that can be read."""
         for frame in self._source:
             if isinstance(frame, BadFrame):
-                self._say(f'{frame.name}: {frame.reason}')
+                self._warn(f'{frame.name}: {frame.reason}')
             else:
                 yield max(frame.stamp_ns, frame.depth_stamp_ns), frame
 
     def messages(self, item: RgbdFrame, shift_ns: int) -> list[tuple[Output, Any]]:
-        """Convert a frame."""
+        """Return the messages of a frame."""
         color = header(item.stamp_ns + shift_ns, self.camera_frame)
         depth = header(item.depth_stamp_ns + shift_ns, self.camera_frame)
         return [
@@ -68,10 +68,10 @@ class BagPlayback:
     """Messages of a bag as they were recorded, each due when it was recorded."""
 
     def __init__(
-        self, path: Path, topics: CameraTopics, camera_frame: str, say: Callable[[str], None]
+        self, path: Path, topics: CameraTopics, camera_frame: str, warn: Callable[[str], None]
     ) -> None:
-        """`camera_frame` is for a bag whose images name none; `say` is told of what is lost."""
-        self._path, self._say = path, say
+        """`camera_frame` is used where images name none; `warn` gets a line about what is lost."""
+        self._path, self._warn = path, warn
         if topics.camera_info is None:
             raise SourceError(f'{path}: no CameraInfo beside {topics.color}; give camera')
         self._outputs: dict[str, Output] = {
@@ -83,15 +83,15 @@ class BagPlayback:
         self.camera_frame = read_header(first.cdr)[1] or camera_frame
 
     def items(self) -> Iterator[tuple[int, RawMessage]]:
-        """Read the messages."""
+        """Yield the messages."""
         try:
             for message in raw_messages(self._path, self._outputs):
                 yield message.stamp_ns, message
         except DamagedError as error:
-            self._say(str(error))
+            self._warn(str(error))
 
     def messages(self, item: RawMessage, shift_ns: int) -> list[tuple[Output, Any]]:
-        """Hand the bytes over."""
+        """Return the message's bytes."""
         cdr = item.cdr
         if shift_ns:
             cdr = with_stamp(cdr, read_header(cdr)[0] + shift_ns)
@@ -99,15 +99,15 @@ class BagPlayback:
 
 
 def open_playback(
-    source: str, camera: str | None, camera_frame: str, say: Callable[[str], None]
+    source: str, camera: str | None, camera_frame: str, warn: Callable[[str], None]
 ) -> PlaybackSource:
-    """Open what a user names; a bag is converted if a camera is given or its images need it.
+    """Open a source by its address; a bag is converted if `camera` is given or its images need it.
 
-    Raises a `DcgsError` that says why not.
+    Raises a `DcgsError` where it cannot be played.
     """
-    path, *topics = split_topics(source)
-    if camera is None and is_bag(path):
-        recorded = find_camera(path, None, *topics)
-        if recorded.as_published:
-            return BagPlayback(path, recorded.topics, camera_frame, say)
-    return FramePlayback(open_source(source, camera), camera_frame, say)
+    if camera is None and not source.startswith('synthetic:'):  # whose `?` begins no topics
+        path, *topics = split_topics(source)
+        recorded = find_camera(path, None, *topics) if is_bag(path) else None
+        if recorded is not None and recorded.as_published:
+            return BagPlayback(path, recorded.topics, camera_frame, warn)
+    return FramePlayback(open_source(source, camera), camera_frame, warn)

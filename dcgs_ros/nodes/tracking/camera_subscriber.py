@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The camera's topics, paired: what the tracking thread takes its frames from."""
+"""Subscribes to a camera and pairs its images for the tracking thread."""
 
 from __future__ import annotations
 
@@ -22,57 +22,56 @@ from .health import Streams
 from .pairing import ImagePair, ImagePairing
 
 _CAMERA = '/camera/camera'
-_WAITING_PAIRS = 4  # newer ones push out older ones; a stall of a tenth of a second loses none
+_WAITING_PAIRS = 4  # newer pairs push out older ones; a stall of a tenth of a second loses none
 
 
 class CameraSubscriber:
-    """Subscribes to a camera; images are looked at by who takes them."""
+    """Puts pairs of images into a queue, without looking at their pixels."""
 
     def __init__(
-        self, node: Node, settings: TrackerNodeSettings, say: Callable[[str], None]
+        self, node: Node, settings: TrackerNodeSettings, warn: Callable[[str], None]
     ) -> None:
         """Subscribe."""
         self.camera: PinholeCamera | None = None
-        self.inbox: WorkQueue[ImagePair[Image, Image]] = WorkQueue(_WAITING_PAIRS)
+        self.queue: WorkQueue[ImagePair[Image, Image]] = WorkQueue(_WAITING_PAIRS)
         self.pairing: ImagePairing[Image, Image] = ImagePairing(int(1e9 * settings.sync_slop_s))
         self.counts = {'color': 0, 'depth': 0, 'pairs': 0}
-        self._told = self._totals()
+        self._reported = self._totals()
         self._received_s = time.monotonic()
-        self._say = say
-        live = sensor_qos(settings.reliability)
+        self._warn = warn
+        qos = sensor_qos(settings.reliability)
         color, depth = f'{_CAMERA}/color', f'{_CAMERA}/aligned_depth_to_color'
-        on = node.create_subscription
-        on(Image, f'{color}/image_raw', partial(self._on_image, 'color'), live)
-        on(Image, f'{depth}/image_raw', partial(self._on_image, 'depth'), live)
-        on(CameraInfo, f'{color}/camera_info', self._on_camera, live)
+        subscribe = node.create_subscription
+        subscribe(Image, f'{color}/image_raw', partial(self._on_image, 'color'), qos)
+        subscribe(Image, f'{depth}/image_raw', partial(self._on_image, 'depth'), qos)
+        subscribe(CameraInfo, f'{color}/camera_info', self._on_camera, qos)
 
     def _on_camera(self, info: CameraInfo) -> None:
         try:
             self.camera = read_camera(info)
         except DcgsError as error:
-            self._say(f'camera_info refused: {error}')
+            self._warn(f'camera_info refused: {error}')
 
     def _on_image(self, kind: str, image: Image) -> None:
-        """ImagePair, and leave the pair to who tracks."""
         self.counts[kind] += 1
         self._received_s = time.monotonic()
         add = self.pairing.color if kind == 'color' else self.pairing.depth
         for pair in add(stamp_ns(image.header.stamp), image):
             self.counts['pairs'] += 1
-            self.inbox.put(pair)
+            self.queue.put(pair)
 
     def _totals(self) -> dict[str, int]:
-        return self.counts | {'dropped': self.inbox.dropped}
+        return self.counts | {'dropped': self.queue.dropped}
 
     def news(self) -> Streams:
-        """Count what came since this was asked last."""
-        before, self._told = self._told, self._totals()
-        new = {key: count - before[key] for key, count in self._told.items()}
+        """Return what came since the last call."""
+        before, self._reported = self._reported, self._totals()
+        new = {key: count - before[key] for key, count in self._reported.items()}
         silent_s = time.monotonic() - self._received_s
         return Streams(**new, has_camera=self.camera is not None, silent_s=silent_s)
 
     def figures(self) -> dict[str, object]:
-        """Count since the start."""
+        """Return the counts since the start, for diagnostics."""
         pairing = self.pairing
         return {
             **self._totals(),
@@ -83,7 +82,7 @@ class CameraSubscriber:
 
 
 def read_frame(pair: ImagePair[Image, Image]) -> RgbdFrame:
-    """Make the frame of two messages; raises a `DcgsError` where they cannot be one."""
+    """Return the frame of two messages; raise a `DcgsError` where they cannot form one."""
     color, depth = pair.color, pair.depth
     frames = color.header.frame_id, depth.header.frame_id
     if all(frames) and frames[0] != frames[1]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the camera is on the base."""
+"""The pose of the camera on the base."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ..transforms import Transforms
 
 # REP 103: the optical frame has z forward and x right, the base x forward and z up.
 LOOKING_FORWARD = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
-_UNIT = 1e-3  # how far a quaternion's length may be from 1
+_UNIT = 1e-3  # largest distance of a quaternion's length from 1
 
 
 def base_to_camera(
     settings: TrackerNodeSettings, transforms: Transforms, camera_frame: str
 ) -> NDArray[np.float64]:
-    """T_base_cam (4, 4), optical frame: from the setting, else from TF, else looking forward."""
+    """Return T_base_cam (4, 4), optical frame: as set, else from TF, else looking forward."""
     given = given_extrinsics(settings)
     if given is not None:
         return given
@@ -31,7 +31,7 @@ def base_to_camera(
 
 
 def given_extrinsics(settings: TrackerNodeSettings) -> NDArray[np.float64] | None:
-    """T_base_cam (4, 4) of the setting, None for 'auto'; raises `ConfigError` for neither."""
+    """Return T_base_cam (4, 4) as set, None for 'auto'; raise `ConfigError` for anything else."""
     text = settings.base_to_camera
     if text == 'auto':
         return None

@@ -1,30 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a tracker's state means to who watches /diagnostics; no ROS in it."""
+"""The tracker's health and figures, as /diagnostics shows them; no ROS in it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.tracking.tracker import TrackingState, TrackResult
+from ...core.tracking.result import TrackingState, TrackResult
+from ..health import Level, Verdict
 
 _SILENT_S = 2.0  # without images: the camera is gone
-_FEW = 4  # images since the last report of which no two need belong together
+_FEW = 4  # images since the last report of which none need form a pair
 _DROPPING = 0.05  # share of the pairs since the last report that is worth a warning
 _AXES = ('x', 'y', 'z', 'turning about x', 'turning about y', 'turning about z')
-
-
-class Level(IntEnum):
-    """As DiagnosticStatus has them."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
 
 
 @dataclass(frozen=True)
@@ -34,27 +26,16 @@ class Streams:
     color: int
     depth: int
     pairs: int
-    dropped: int  # pairs that newer ones overtook
+    dropped: int  # pairs that newer ones pushed out
     has_camera: bool
     silent_s: float
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """A level, and what it means in words."""
-
-    level: Level
-    message: str
-
-
-LOADING = Verdict(Level.WARN, 'loading the kernels: a minute the first time, else seconds')
-
-
 def judge(streams: Streams, result: TrackResult | None, searching: bool) -> Verdict:
-    """Tell how tracking goes, and what to check where it does not."""
+    """Return how tracking goes, and what to check where it does not."""
     alone = not streams.pairs and streams.color + streams.depth > _FEW
     if streams.silent_s > _SILENT_S or alone or result is None:
-        return Verdict(Level.ERROR, _what_lacks(streams))
+        return Verdict(Level.ERROR, _what_is_missing(streams))
     if result.state is TrackingState.LOST:
         where = 'looking for the camera in the map' if searching else 'lost'
         return Verdict(Level.ERROR, f'{where}: move back to where it was tracked, or call ~/reset')
@@ -67,8 +48,8 @@ def judge(streams: Streams, result: TrackResult | None, searching: bool) -> Verd
     return Verdict(Level.OK, 'tracking')
 
 
-def _what_lacks(streams: Streams) -> str:
-    """Name the topic that is silent."""
+def _what_is_missing(streams: Streams) -> str:
+    """Return which topic is silent, and what to check."""
     if not streams.has_camera:
         return 'no camera_info: is the camera running, and are the topics remapped?'
     if not streams.color and not streams.depth:
@@ -83,12 +64,12 @@ def _what_lacks(streams: Streams) -> str:
 
 
 def weakest_axis(direction: NDArray[np.floating]) -> str:
-    """Name the camera's axis that a direction (6,), translation first, is nearest to."""
+    """Return the name of the camera's axis nearest to a direction (6,), translation first."""
     return f"the camera's {_AXES[int(np.argmax(np.abs(direction)))]}"
 
 
 def numbers(result: TrackResult) -> dict[str, Any]:
-    """Figures of the last frame."""
+    """Return the figures of one frame."""
     shown: dict[str, Any] = {
         'state': result.state.value,
         'inliers': result.inliers,

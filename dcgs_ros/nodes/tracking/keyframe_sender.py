@@ -1,111 +1,80 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keyframes on their way to the mapper, and again to one that does not have them."""
+"""Sends keyframes to the mapper, and again to one that lacks them."""
 
 from __future__ import annotations
 
 import queue
 import threading
 import time
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection
 from typing import Protocol
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
-from ...core.camera import PinholeCamera
 from ...core.kernels.workers import give_way
-from ...core.keyframe import Keyframe
-from ...io.ros_images import in_millimetres
+from ..messages.packet import KeyframePacket
+from .kept_keyframe import Alive, KeptKeyframe
 
-_IN_FLIGHT = 4  # offered and not acknowledged yet; views beyond it are left out
-_AGAIN = 2  # ... and of those offered once more, one at a time for each of this
-_PATIENCE_S = 3.0  # after which an offer counts as lost on the way
+_IN_FLIGHT = 4  # sent and not acknowledged yet; views beyond it are left out
+_RESENT_IN_FLIGHT = 2  # the same where keyframes are sent again
+_PATIENCE_S = 3.0  # after which an unacknowledged packet counts as lost
 _TICK_S = 0.1
-_QUEUED = 16  # views waiting for the sender; keyframes always wait
-_DEPTH_UNITS = np.float32(1000.0)  # of a metre: the 16UC1 that is sent
-_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 95]
-_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+_QUEUED = 16  # views waiting for the thread; keyframes always wait
+_BYTES_PER_MB = 1e6
 
 
-@dataclass(frozen=True)
-class KeyframePacket:
-    """A keyframe for the mapper."""
-
-    epoch: int
-    camera: PinholeCamera
-    keyframe: Keyframe
-
-
-@dataclass
-class _Kept:
-    """An offer with its images as files would have them."""
-
-    offer: KeyframePacket  # without images
-    color: NDArray[np.uint8]
-    depth: NDArray[np.uint8]
-
-    @property
-    def bytes(self) -> int:
-        return self.color.nbytes + self.depth.nbytes + 60 * len(self.offer.keyframe.ids)
-
-
-class Link(Protocol):
-    """The way to the mapper."""
+class KeyframeTransport(Protocol):
+    """What carries packets to the mapper."""
 
     def connected(self) -> bool:
-        """Tell whether a mapper listens."""
+        """Return whether a mapper listens."""
         ...
 
-    def send(self, offer: KeyframePacket) -> None:
-        """Publish an offer."""
+    def send(self, packet: KeyframePacket) -> None:
+        """Publish a packet."""
         ...
 
 
 class KeyframeSender:
-    """Sends keyframes from a thread of its own, and keeps them for a mapper that comes later.
+    """Sends keyframes from its own thread, and keeps them for a mapper that starts later.
 
-    What a mapper has it says: a list of stamps. A keyframe that is not among them is offered
-    again, the oldest first. Views that bring no Gaussians are sent once, if the way is free.
-    Beyond `memory_mb` every second of the kept images goes; its Gaussians are then offered with
-    the next.
+    The mapper acknowledges by a list of the stamps it has. A keyframe that is not in the list is
+    sent again, the oldest first. A packet without Gaussians is sent once, if few are in flight.
+    Beyond `memory_mb` the images of every second kept keyframe are dropped; its Gaussians are
+    then sent with a neighbour.
     """
 
-    def __init__(
-        self, link: Link, memory_mb: float, alive: Callable[[NDArray], NDArray[np.bool_]]
-    ) -> None:
-        """Start the thread; `alive` tells which of a keyframe's Gaussians there still are."""
-        self._link, self._budget, self._alive = link, 1e6 * memory_mb, alive
-        self._kept: dict[int, _Kept] = {}
-        self._sent_s: dict[int, float] = {}  # monotonic time by stamp, of what is not acknowledged
-        self._had: frozenset[int] = frozenset()
-        self._epoch = 0  # of the map that is offered; what still waits of another is of no use
+    def __init__(self, transport: KeyframeTransport, memory_mb: float, alive: Alive) -> None:
+        """Start the thread; `alive` tells which Gaussians still exist."""
+        self._transport, self._alive = transport, alive
+        self._budget = _BYTES_PER_MB * memory_mb
+        self._kept: dict[int, KeptKeyframe] = {}
+        self._sent_s: dict[int, float] = {}  # monotonic time by stamp, of what is in flight
+        self._received: frozenset[int] = frozenset()  # stamps that the mapper has
+        self._epoch = 0  # of the current map; what waits of another one is not sent
         self._queue: queue.SimpleQueue[KeyframePacket | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._closed = False
-        self.offered = self.offered_again = self.left_out = 0
-        self.failed = 0  # times that the link raised; `failure` is the last such error
+        self.sent = self.resent = self.left_out = 0
+        self.failed = 0  # times that the transport raised; `failure` is the last such error
         self.failure: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name='offers', daemon=True)
+        self._thread = threading.Thread(target=self._run, name='keyframes', daemon=True)
         self._thread.start()
 
-    def put(self, offer: KeyframePacket) -> None:
-        """Take an offer to be sent; returns at once. One of another map is the end of the last."""
-        if offer.epoch != self._epoch:
+    def put(self, packet: KeyframePacket) -> None:
+        """Queue a packet; return at once. One of another epoch drops all that is kept."""
+        if packet.epoch != self._epoch:
             self.forget()
-            self._epoch = offer.epoch
-        if len(offer.keyframe.ids) or self._queue.qsize() < _QUEUED:
-            self._queue.put(offer)
+            self._epoch = packet.epoch
+        if packet.carries_gaussians or self._queue.qsize() < _QUEUED:
+            self._queue.put(packet)
         else:
             self.left_out += 1
 
     def acknowledge(self, stamps_ns: Collection[int]) -> None:
-        """Take the list of all that the mapper has."""
+        """Take the list of all stamps that the mapper has."""
         with self._lock:
-            self._had = frozenset(stamps_ns)
-            for stamp in self._had & self._sent_s.keys():
+            self._received = frozenset(stamps_ns)
+            for stamp in self._received & self._sent_s.keys():
                 del self._sent_s[stamp]
 
     def forget(self) -> None:
@@ -117,9 +86,17 @@ class KeyframeSender:
 
     @property
     def missing(self) -> int:
-        """Keyframes that the mapper has not told it has."""
+        """Number of kept keyframes that the mapper has not acknowledged."""
         with self._lock:
-            return len(self._kept.keys() - self._had)
+            return len(self._kept.keys() - self._received)
+
+    def figures(self) -> dict[str, object]:
+        """Return the counts for diagnostics."""
+        return {
+            'keyframes_missing': self.missing,
+            'views_left_out': self.left_out,
+            'offers_failed': self.failed,
+        }
 
     def close(self) -> None:
         """End the thread; what still waits is not sent."""
@@ -131,116 +108,75 @@ class KeyframeSender:
         give_way()
         while not self._closed:
             try:
-                self._offer_next()
-                self._offer_again()
-            except Exception as error:  # what is kept is offered again
+                self._send_next()
+                self._resend()
+            except Exception as error:  # what is kept is sent again
                 self.failed, self.failure = self.failed + 1, error
 
-    def _offer_next(self) -> None:
+    def _send_next(self) -> None:
+        """Send the next packet of the queue; keep it if it carries Gaussians."""
         try:
-            offer = self._queue.get(timeout=_TICK_S)
+            packet = self._queue.get(timeout=_TICK_S)
         except queue.Empty:
             return
-        if offer is not None and offer.epoch == self._epoch:
-            self._offer(offer)
-
-    def _offer(self, offer: KeyframePacket) -> None:
-        keyframe = bool(len(offer.keyframe.ids))
+        if packet is None or packet.epoch != self._epoch:
+            return
         try:
-            if self._link.connected() and self._room(_IN_FLIGHT):
-                self._send(offer)
-                self.offered += 1
-            elif not keyframe:
+            if self._transport.connected() and self._has_room(_IN_FLIGHT):
+                self._send(packet)
+                self.sent += 1
+            elif not packet.carries_gaussians:
                 self.left_out += 1
         finally:
-            if keyframe:
-                self._keep(offer)
+            if packet.carries_gaussians:
+                self._keep(packet)
 
-    def _keep(self, offer: KeyframePacket) -> None:
-        kept = _encoded(offer)
+    def _keep(self, packet: KeyframePacket) -> None:
+        kept = KeptKeyframe.of(packet)
         with self._lock:
-            if offer.epoch == self._epoch:
-                self._kept[offer.keyframe.frame.stamp_ns] = kept
+            if packet.epoch == self._epoch:
+                self._kept[packet.stamp_ns] = kept
                 self._thin()
 
-    def _offer_again(self) -> None:
-        if not self._link.connected() or not self._room(_AGAIN):
+    def _resend(self) -> None:
+        """Send the oldest keyframe that the mapper lacks and that is not in flight."""
+        if not self._transport.connected() or not self._has_room(_RESENT_IN_FLIGHT):
             return
         with self._lock:
-            lacking = self._kept.keys() - self._had - self._sent_s.keys()
+            lacking = self._kept.keys() - self._received - self._sent_s.keys()
             if not lacking:
                 return
             kept = self._kept[min(lacking)]
-            self._sent_s[min(lacking)] = time.monotonic()  # whatever comes of it: others are next
-        self._send(_decoded(kept, self._alive))
-        self.offered_again += 1
+            # Before it is sent: one that cannot be must not hold up the others.
+            self._sent_s[min(lacking)] = time.monotonic()
+        self._send(kept.decoded(self._alive))
+        self.resent += 1
 
-    def _send(self, offer: KeyframePacket) -> None:
+    def _send(self, packet: KeyframePacket) -> None:
         with self._lock:
-            self._sent_s[offer.keyframe.frame.stamp_ns] = time.monotonic()
-        self._link.send(offer)
+            self._sent_s[packet.stamp_ns] = time.monotonic()
+        self._transport.send(packet)
 
-    def _room(self, limit: int) -> bool:
-        """Tell whether fewer than `limit` are on their way; what is for too long is lost."""
+    def _has_room(self, limit: int) -> bool:
+        """Return whether fewer than `limit` packets are in flight, lost ones not counted."""
         late = time.monotonic() - _PATIENCE_S
         with self._lock:
             self._sent_s = {k: sent for k, sent in self._sent_s.items() if sent > late}
             return len(self._sent_s) < limit
 
     def _thin(self) -> None:
-        """Do without every second of the kept images, the newest apart; Gaussians stay."""
+        """Beyond the budget drop every second keyframe; a neighbour gets its Gaussians."""
         if sum(kept.bytes for kept in self._kept.values()) <= self._budget:
             return
         stamps = sorted(self._kept)
         for pair in zip(stamps[:-2:2], stamps[1:-1:2], strict=True):
-            for left, heir in (pair, pair[::-1]):
-                if self._inherits(heir, left):
-                    offer = self._kept.pop(left).offer
-                    self._kept[heir].offer = _merged(self._kept[heir].offer, offer)
+            for dropped, heir in (pair, pair[::-1]):
+                if self._may_take_over(heir, dropped):
+                    self._kept[heir].take_over(self._kept.pop(dropped))
                     break
 
-    def _inherits(self, heir: int, left: int) -> bool:
-        """Tell whether what a keyframe takes over comes to the mapper, if it is not there yet."""
-        return heir not in self._sent_s and (left in self._had or heir not in self._had)
-
-
-def _merged(heir: KeyframePacket, left: KeyframePacket) -> KeyframePacket:
-    ours, theirs = heir.keyframe, left.keyframe
-    keyframe = replace(
-        ours, ids=np.concatenate([ours.ids, theirs.ids]),
-        means=np.concatenate([ours.means, theirs.means]),
-        normals=np.concatenate([ours.normals, theirs.normals]),
-    )  # fmt: skip
-    return replace(heir, keyframe=keyframe)
-
-
-def _encoded(offer: KeyframePacket) -> _Kept:
-    """Compress the images, depth without loss to the millimetre that is sent."""
-    frame = offer.keyframe.frame
-    pixel = frame.color[:1, :1].copy()  # a view would keep the whole image
-    small = replace(frame, color=pixel, depth_m=np.ones((1, 1), np.float32))
-    color = frame.color if frame.color.ndim == 2 else frame.color[..., ::-1]
-    return _Kept(
-        replace(offer, keyframe=replace(offer.keyframe, frame=small)),
-        cv2.imencode('.jpg', color, _JPEG)[1],
-        cv2.imencode('.png', in_millimetres(frame.depth_m), _PNG)[1],
-    )
-
-
-def _decoded(kept: _Kept, alive: Callable[[NDArray], NDArray[np.bool_]]) -> KeyframePacket:
-    """Make the offer anew, without the Gaussians that are gone by now."""
-    offer = kept.offer
-    keyframe, grey = offer.keyframe, offer.keyframe.frame.color.ndim == 2
-    flag = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
-    color = cv2.imdecode(kept.color, flag)
-    depth_m = cv2.imdecode(kept.depth, cv2.IMREAD_UNCHANGED).astype(np.float32) / _DEPTH_UNITS
-    frame = replace(
-        keyframe.frame, color=np.ascontiguousarray(color if grey else color[..., ::-1]),
-        depth_m=depth_m,
-    )  # fmt: skip
-    here = alive(keyframe.ids)
-    keyframe = replace(
-        keyframe, frame=frame, ids=keyframe.ids[here], means=keyframe.means[here],
-        normals=keyframe.normals[here],
-    )  # fmt: skip
-    return replace(offer, keyframe=keyframe)
+    def _may_take_over(self, heir: int, dropped: int) -> bool:
+        """Return whether the Gaussians of `dropped` reach the mapper, which may lack them."""
+        return heir not in self._sent_s and (
+            dropped in self._received or heir not in self._received
+        )

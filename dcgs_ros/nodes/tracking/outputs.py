@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses of the base as ROS has them: Odometry, PoseStamped, Path and TF."""
+"""Publishes the pose of the base as Odometry, PoseStamped, Path and TF, and records it."""
 
 from __future__ import annotations
 
@@ -14,58 +14,76 @@ from rclpy.node import Node
 
 from ...core import se3
 from ...core.config.nodes import TrackerNodeSettings
-from ...core.tracking.tracker import TrackResult
-from ..messages.odometry import Body, odometry_message
+from ...core.tracking.result import TrackResult
+from ..messages.images import header
+from ..messages.odometry import CameraToBase, odometry_message
 from ..messages.poses import path, pose_stamped, transform_stamped
-from ..messages.standard import header
-from ..transforms import Transforms
+from ..transforms import make_transforms
 from ..transport import RELIABLE
+from .extrinsics import base_to_camera, given_extrinsics
+from .trajectory_recorder import TrajectoryRecorder
 
 _MAP_FRAME = 'map'
-_MAX_GAP_S = 0.5  # between two poses that tell a velocity
+_MAX_GAP_S = 0.5  # between two poses that give a velocity
 
 
 class TrackerOutputs:
-    """Publishes what a tracked frame says of the base."""
+    """Publishes what a tracked frame tells about the base."""
 
-    def __init__(self, node: Node, settings: TrackerNodeSettings, transforms: Transforms) -> None:
-        """Advertise the topics."""
-        self.settings, self._transforms = settings, transforms
-        corrects = settings.tf == 'map_to_odom'
-        self.world = _MAP_FRAME if corrects else settings.odom_frame
+    def __init__(self, node: Node, settings: TrackerNodeSettings) -> None:
+        """Advertise the topics; raise `ConfigError` where `base_to_camera` is unusable."""
+        given_extrinsics(settings)  # raises now rather than at the first frame
+        self._settings, self._transforms = settings, make_transforms(node)
+        self._recorder = TrajectoryRecorder(settings.save_on_exit)
+        self._to_base: CameraToBase | None = None
+        self.world = _MAP_FRAME if settings.tf == 'map_to_odom' else settings.odom_frame
         self._odometry = node.create_publisher(Odometry, '~/odometry', RELIABLE)
         self._pose = node.create_publisher(PoseStamped, '~/pose', RELIABLE)
-        self._camera_pose = node.create_publisher(PoseStamped, '~/camera_pose', RELIABLE)
+        self._camera_pose = node.create_publisher(PoseStamped, 'camera_pose', RELIABLE)
         self._path = node.create_publisher(Path, '~/path', RELIABLE)
-        self._way: list[PoseStamped] = []
-        self._every, self._passed, self._path_due_s = 1, 0, 0.0
+        self._path_poses: list[PoseStamped] = []
+        self._path_step, self._path_count, self._path_due_s = 1, 0, 0.0
         self._last: TrackResult | None = None
 
-    def publish(self, result: TrackResult, body: Body) -> None:
-        """Publish a pose; the last frame's gives the velocity."""
-        T_world_base = body.pose(result.T_world_cam)
-        placed = header(result.stamp_ns, self.world)
-        twist, twist_covariance = body.twist(*self._motion(result))
+    def camera_to_base(self, camera_frame: str) -> CameraToBase:
+        """Return where the camera is on the base, as it was at the first call."""
+        if self._to_base is None:
+            T_base_cam = base_to_camera(self._settings, self._transforms, camera_frame)
+            self._to_base = CameraToBase(T_base_cam)
+        return self._to_base
+
+    def publish(self, result: TrackResult, to_base: CameraToBase) -> None:
+        """Publish a pose, and the velocity since the last one."""
+        T_world_base = to_base.pose(result.T_world_cam)
+        in_world = header(result.stamp_ns, self.world)
+        twist, twist_covariance = to_base.twist(*self._camera_twist(result))
         self._odometry.publish(
             odometry_message(
-                placed, self.settings.base_frame, T_world_base,
-                body.covariance(result.covariance, T_world_base), twist, twist_covariance,
+                in_world, self._settings.base_frame, T_world_base,
+                to_base.covariance(result.covariance, T_world_base), twist, twist_covariance,
             )
         )  # fmt: skip
-        stamped = pose_stamped(T_world_base, placed)
+        stamped = pose_stamped(T_world_base, in_world)
         self._pose.publish(stamped)
-        self._camera_pose.publish(pose_stamped(result.T_world_cam, placed))
+        self._camera_pose.publish(pose_stamped(result.T_world_cam, in_world))
         self._send_transform(T_world_base, result.stamp_ns)
-        self._walk(stamped)
+        self._extend_path(stamped)
+        self._recorder.add(result.stamp_ns, T_world_base)
         self._last = result
 
     def forget(self) -> None:
         """Begin a new path."""
-        self._way.clear()
-        self._every, self._last = 1, None
+        self._path_poses.clear()
+        self._path_step, self._last = 1, None
 
-    def _motion(self, result: TrackResult) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Twist of the camera since the last pose, per second, and its covariance.
+    def close(self) -> str | None:
+        """Write the recorded trajectory; return what was written, if anything."""
+        return self._recorder.write()
+
+    def _camera_twist(
+        self, result: TrackResult
+    ) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
+        """Return the camera's twist (6,) since the last pose, per second, and covariance (6, 6).
 
         Without a recent pose it is unknown: zero, with a covariance of a metre and a radian.
         """
@@ -77,26 +95,25 @@ class TrackerOutputs:
         return moved / dt, (last.covariance + result.covariance) / dt**2
 
     def _send_transform(self, T_world_base: NDArray[np.float64], stamp_ns: int) -> None:
-        settings = self.settings
+        settings = self._settings
+        in_world = header(stamp_ns, self.world)
         if settings.tf == 'odom_to_base':
-            placed = header(stamp_ns, self.world)
-            self._transforms.send(transform_stamped(T_world_base, placed, settings.base_frame))
+            self._transforms.send(transform_stamped(T_world_base, in_world, settings.base_frame))
         elif settings.tf == 'map_to_odom':
             T_odom_base = self._transforms.lookup(settings.odom_frame, settings.base_frame)
             if T_odom_base is not None:
                 T_map_odom = T_world_base @ se3.inverse(T_odom_base)
-                placed = header(stamp_ns, self.world)
-                self._transforms.send(transform_stamped(T_map_odom, placed, settings.odom_frame))
+                self._transforms.send(transform_stamped(T_map_odom, in_world, settings.odom_frame))
 
-    def _walk(self, stamped: PoseStamped) -> None:
-        """Add to the path, every pose at first, every second when it is full, and so on."""
-        self._passed += 1
-        if self._passed % self._every == 0:
-            self._way.append(stamped)
-        if len(self._way) > self.settings.path_poses:
-            self._way = self._way[::2]
-            self._every *= 2
-        now, rate_hz = time.monotonic(), self.settings.path_rate_hz
+    def _extend_path(self, stamped: PoseStamped) -> None:
+        """Add every pose; once the path is full every second one, then every fourth, and so on."""
+        self._path_count += 1
+        if self._path_count % self._path_step == 0:
+            self._path_poses.append(stamped)
+        if len(self._path_poses) > self._settings.path_poses:
+            self._path_poses = self._path_poses[::2]
+            self._path_step *= 2
+        now, rate_hz = time.monotonic(), self._settings.path_rate_hz
         if rate_hz > 0 and now >= self._path_due_s and self._path.get_subscription_count():
             self._path_due_s = now + 1.0 / rate_hz
-            self._path.publish(path(self._way, stamped.header))
+            self._path.publish(path(self._path_poses, stamped.header))

@@ -1,21 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What belongs together by its stamps: colour with depth, and the parts of a keyframe."""
+"""Pairs colour and depth images by their stamps."""
 
 from __future__ import annotations
 
 import statistics
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...datasets.images.association import associate_stamps
 
-_JUMP_NS = 1_000_000_000  # a stamp farther back is another time, not disorder
+_JUMP_NS = 1_000_000_000  # a stamp farther back is of another clock, not disorder
 _INTERVALS = 15  # of a stream, for their median
 
 C = TypeVar('C')
@@ -36,32 +35,32 @@ class ImagePair(Generic[C, D]):
 class ImagePairing(Generic[C, D]):
     """Pairs two streams of images one to one, the closest first, as soon as a pair is certain.
 
-    It is when no nearer partner can still come to either side, if each stream comes in order: at
-    once for equal stamps, and for a distance below half the stream's interval. Pairs leave in the
-    order of both stamps; what came before one that left is dropped.
+    A pair is certain when no nearer partner can still come for either image, provided that each
+    stream is in order: at once for equal stamps, and for a distance below half the stream's
+    interval. Pairs leave in the order of both stamps; images older than one that left are dropped.
     """
 
     def __init__(self, slop_ns: int, capacity: int = 8) -> None:
-        """Pair what is within `slop_ns`; keep at most `capacity` images of a stream waiting."""
+        """Pair images within `slop_ns`; let at most `capacity` images of a stream wait."""
         self._slop_ns = slop_ns
         self._color: _Stream[C] = _Stream(capacity)
         self._depth: _Stream[D] = _Stream(capacity)
         self.paired = 0
-        self.jumped_back = 0  # times that the clock did, by more than a second
+        self.jumped_back = 0  # times that the clock jumped back by more than a second
 
     @property
     def unpaired_color(self) -> int:
-        """Colour images that were dropped."""
+        """Number of colour images that were dropped."""
         return self._color.dropped
 
     @property
     def unpaired_depth(self) -> int:
-        """Depth images that were dropped."""
+        """Number of depth images that were dropped."""
         return self._depth.dropped
 
     @property
     def disorder(self) -> int:
-        """Images of either stream that came after one with the same or a later stamp."""
+        """Number of images that came after one of their stream with the same or a later stamp."""
         return self._color.disorder + self._depth.disorder
 
     def color(self, stamp_ns: int, item: C) -> list[ImagePair[C, D]]:
@@ -73,7 +72,7 @@ class ImagePairing(Generic[C, D]):
         return self._added(self._depth, stamp_ns, item)
 
     def clear(self) -> None:
-        """Drop what waits and forget the clock."""
+        """Drop the images that wait and forget the clock."""
         self._color.clear()
         self._depth.clear()
 
@@ -88,7 +87,7 @@ class ImagePairing(Generic[C, D]):
         return pairs
 
     def _certain(self) -> list[ImagePair[C, D]]:
-        """Take the pairs that nothing to come can change, oldest first."""
+        """Take the pairs that no later image can change, oldest first."""
         color, depth = self._color, self._depth
         pairs: list[ImagePair[C, D]] = []
         while True:
@@ -105,28 +104,6 @@ class ImagePairing(Generic[C, D]):
         color_ns, depth_ns = self._color.waiting[i][0], self._depth.waiting[j][0]
         gap_ns = abs(color_ns - depth_ns)
         return self._depth.is_past(color_ns, gap_ns) and self._color.is_past(depth_ns, gap_ns)
-
-
-class Joiner:
-    """Joins messages of several topics that carry one stamp, in whatever order they arrive."""
-
-    def __init__(self, names: Sequence[str], capacity: int = 8) -> None:
-        """Join one message of each of `names`; keep at most `capacity` stamps incomplete."""
-        self._names = frozenset(names)
-        self._capacity = capacity
-        self._parts: dict[int, dict[str, Any]] = {}
-        self.dropped = 0  # stamps that stayed incomplete
-
-    def add(self, name: str, stamp_ns: int, item: Any) -> dict[str, Any] | None:
-        """Take a message; return all of its stamp, by name, once they are there."""
-        parts = self._parts.setdefault(stamp_ns, {})
-        parts[name] = item
-        if parts.keys() >= self._names:
-            return self._parts.pop(stamp_ns)
-        if len(self._parts) > self._capacity:
-            del self._parts[next(iter(self._parts))]  # the first to arrive
-            self.dropped += 1
-        return None
 
 
 class _Stream(Generic[T]):
@@ -147,7 +124,7 @@ class _Stream(Generic[T]):
         self._intervals_ns: deque[int] = deque(maxlen=_INTERVALS)
 
     def add(self, stamp_ns: int, item: T) -> bool:
-        """Queue an image by its stamp; False where it comes too late."""
+        """Queue an image by its stamp; return False where it comes too late."""
         if self.latest_ns is not None and stamp_ns <= self.latest_ns:
             self.disorder += 1
             late = self._taken_ns is not None and stamp_ns <= self._taken_ns
@@ -169,13 +146,13 @@ class _Stream(Generic[T]):
         return np.array([stamp_ns for stamp_ns, _ in self.waiting], np.int64)
 
     def is_past(self, stamp_ns: int, gap_ns: int) -> bool:
-        """Nothing nearer to `stamp_ns` than `gap_ns` can still come."""
+        """Return whether no image nearer to `stamp_ns` than `gap_ns` can still come."""
         if self.latest_ns is not None and self.latest_ns >= stamp_ns:
             return True
         return bool(self._intervals_ns) and 2 * gap_ns < statistics.median(self._intervals_ns)
 
     def take(self, index: int) -> tuple[int, T]:
-        """Take an image and drop the older ones."""
+        """Take an image, and drop the older ones."""
         taken = self.waiting[index]
         self._taken_ns = taken[0]
         self.dropped += index

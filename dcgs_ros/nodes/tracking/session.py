@@ -5,98 +5,115 @@
 from __future__ import annotations
 
 import secrets
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
-from ...core.errors import FrameError
+from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
 from ...core.keyframe import MapUpdate, PosedFrame
+from ...core.tracking.result import TrackResult
 from ...core.tracking.selector import KeyframeSelector
-from ...core.tracking.tracker import Tracker, TrackResult
+from ...core.tracking.tracker import Tracker
 from ..messages.ids import EPOCHS
+from ..messages.packet import KeyframePacket
+from .health import numbers
 from .map_mirror import Resumable
 
-_GAP_NS = 500_000_000  # over a longer one nobody knows how the camera moved
-_REWOUND_NS = 1_000_000_000  # a stamp so far back is another clock; less is disorder
+_GAP_NS = 500_000_000  # the motion over a longer one is unknown
+_REWOUND_NS = 1_000_000_000  # a stamp so far back is of another clock; less is disorder
 
 
 def new_epoch() -> int:
-    """Draw a number for a new map: ids of two maps never meet."""
+    """Draw a number for a new map, so that ids of two maps do not coincide."""
     return 1 + secrets.randbelow(EPOCHS - 1)
 
 
-class Tracking:
-    """Frames in, poses and keyframes out, over everything that may happen to a camera.
+class TrackingSession:
+    """Frames in, poses and keyframes out, whatever happens to the camera.
 
-    All but `alive` belongs to one thread, since a tracker's threads do.
+    All but `alive` and `figures` belongs to one thread, since a tracker's threads do.
     """
 
     def __init__(
-        self, config: Config, T_world_first: NDArray[np.float64], say: Callable[[str], None]
+        self, config: Config, T_world_first: NDArray[np.float64], warn: Callable[[str], None]
     ) -> None:
-        """Wait for the first camera; `say` is told what a user should know."""
+        """Wait for the first camera; `warn` gets the lines for the log."""
         self.config, self.epoch = config, new_epoch()
-        self.counts: Counter[str] = Counter()  # of frames, by what became of them
+        self.counts: Counter[str] = Counter()  # of frames, by state, or 'refused'
+        self.result: TrackResult | None = None  # of the last frame; None where it was refused
+        self.ms = 0.0  # time that the last frame took
         self.tracker: Tracker | None = None
-        self.T_world_first, self._say = T_world_first, say
+        self.T_world_first, self._warn = T_world_first, warn
         self._selector = KeyframeSelector(config.mapping.view_interval)
         self._resumable: Resumable | None = None
         self._stamp_ns = 0
-        self._names: set[int] = set()  # stamps of keyframes
+        self._keyframe_stamps: set[int] = set()
 
     def resume(self, resumable: Resumable) -> None:
-        """Go on in a map that somebody else kept; to be called before the first frame."""
+        """Go on in the map of another tracker; to be called before the first frame."""
         self._resumable = resumable
-        self._names |= resumable.stamps_ns
+        self._keyframe_stamps |= resumable.stamps_ns
 
     def reset(self) -> None:
-        """Begin a new map, at the place and with the camera of the first frame to come."""
+        """Begin a new map, at the place and with the camera of the next frame."""
         self.tracker, self._resumable = None, None
         self.epoch, self._stamp_ns = new_epoch(), 0
 
     def reconfigure(self, config: Config) -> None:
-        """Take other settings over, those that may change at run time."""
+        """Apply settings that may change at run time."""
         self.config = config
         if self.tracker is not None:
             self.tracker.reconfigure(config)
         self._selector.interval = config.mapping.view_interval
 
     def track(self, frame: RgbdFrame, camera: PinholeCamera) -> TrackResult | None:
-        """Track a frame; None, counted and said, where it is of no use."""
-        if self.tracker is None or camera != self.tracker.camera:
-            self._begin(camera)
-        tracker = self.tracker
-        assert tracker is not None
-        if frame.stamp_ns < self._stamp_ns - _REWOUND_NS:
-            back_s = (self._stamp_ns - frame.stamp_ns) * 1e-9
-            self._say(f'stamps went back by {back_s:.1f} s: looking for the camera in the map')
-            tracker.interrupt()
-        elif self._stamp_ns and frame.stamp_ns > self._stamp_ns + _GAP_NS:
-            gap_s = (frame.stamp_ns - self._stamp_ns) * 1e-9
-            self._say(f'no frame for {gap_s:.1f} s: looking for the camera in the map')
-            tracker.interrupt()
+        """Track a frame; return None where it is refused, with a warning."""
+        start = time.perf_counter()
+        tracker = self._tracker_of(camera)
+        self._interrupt_after_gap(frame.stamp_ns, tracker)
         try:
             result = tracker.track(frame)
         except FrameError as error:
-            self.counts['refused'] += 1
-            self._say(f'frame refused: {error}')
+            self.refuse(error)
             return None
         self._stamp_ns = frame.stamp_ns
         self.counts[result.state.value] += 1
+        self.result, self.ms = result, 1e3 * (time.perf_counter() - start)
         return result
 
-    def _begin(self, camera: PinholeCamera) -> None:
-        """Make the tracker of this camera: the first one, or another one at the last pose."""
+    def refuse(self, error: DcgsError) -> None:
+        """Count a frame that cannot be used, and warn."""
+        self.result = None
+        self.counts['refused'] += 1
+        self._warn(f'frame refused: {error}')
+
+    def _interrupt_after_gap(self, stamp_ns: int, tracker: Tracker) -> None:
+        """Interrupt the tracker where the motion since the last frame is unknown."""
+        if stamp_ns < self._stamp_ns - _REWOUND_NS:
+            back_s = (self._stamp_ns - stamp_ns) * 1e-9
+            self._warn(f'stamps went back by {back_s:.1f} s: looking for the camera in the map')
+            tracker.interrupt()
+        elif self._stamp_ns and stamp_ns > self._stamp_ns + _GAP_NS:
+            gap_s = (stamp_ns - self._stamp_ns) * 1e-9
+            self._warn(f'no frame for {gap_s:.1f} s: looking for the camera in the map')
+            tracker.interrupt()
+
+    def _tracker_of(self, camera: PinholeCamera) -> Tracker:
+        """Return the tracker; a new one for the first camera, or for another at the last pose."""
         T_world_first, last = self.T_world_first, self.tracker
+        if last is not None and last.camera == camera:
+            return last
         if last is not None:
             before, now = last.camera, camera
-            self._say(
+            self._warn(
                 f'the camera changed from {before.width}x{before.height}, fx {before.fx:.1f}, to '
                 f'{now.width}x{now.height}, fx {now.fx:.1f}: a new map begins at the last pose'
             )
@@ -107,29 +124,50 @@ class Tracking:
             self.epoch = self._resumable.epoch
             self.tracker.resume(self._resumable.gaussians(self.config), self._resumable.poses)
         self._selector = KeyframeSelector(self.config.mapping.view_interval)
+        return self.tracker
 
-    def selected(self, frame: RgbdFrame, result: TrackResult) -> list[PosedFrame]:
-        """Return the keyframes and views that the mapper should get now.
+    def packets(
+        self, frame: RgbdFrame, result: TrackResult, camera_frame: str
+    ) -> list[KeyframePacket]:
+        """Return the keyframes and views that the mapper should get now, oldest first.
 
-        Their stamps are their names: where a recording is played again the later ones are moved
-        on by a nanosecond or more.
+        The mapper knows them by their stamps. Where a recording is played again, stamps that were
+        used are moved on by a nanosecond or more.
         """
-        chosen = self._selector.select(frame, result)
-        return [replace(posed, frame=self._named(posed.frame)) for posed in chosen]
+        assert self.tracker is not None
+        camera, chosen = self.tracker.camera, self._selector.select(frame, result)
+        return [
+            KeyframePacket(self.epoch, camera, self._with_new_stamp(posed), camera_frame)
+            for posed in chosen
+        ]
 
-    def _named(self, frame: RgbdFrame) -> RgbdFrame:
-        stamp_ns = frame.stamp_ns
-        while stamp_ns in self._names:
+    def _with_new_stamp(self, posed: PosedFrame) -> PosedFrame:
+        stamp_ns = posed.frame.stamp_ns
+        while stamp_ns in self._keyframe_stamps:
             stamp_ns += 1
-        self._names.add(stamp_ns)
-        return replace(frame, stamp_ns=stamp_ns)
+        self._keyframe_stamps.add(stamp_ns)
+        return replace(posed, frame=replace(posed.frame, stamp_ns=stamp_ns))
 
-    def answer(self, update: MapUpdate, epoch: int) -> None:
-        """Take what the mapper made of the Gaussians, if it is of this map."""
+    def apply(self, update: MapUpdate, epoch: int) -> None:
+        """Apply the mapper's answer, if it is of this map."""
         if self.tracker is not None and epoch == self.epoch:
             self.tracker.apply(update)
 
     def alive(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which Gaussians there still are; any thread may ask."""
+        """Return which of the Gaussians `ids` (N,) still exist; safe from any thread."""
         tracker = self.tracker
         return np.zeros(len(ids), np.bool_) if tracker is None else tracker.gaussians.alive(ids)
+
+    @property
+    def searching(self) -> bool:
+        """Return whether the camera is looked for in the map."""
+        tracker = self.tracker
+        return tracker is not None and tracker.searching
+
+    def figures(self) -> dict[str, Any]:
+        """Return the sizes of the map and the figures of the last frame, for diagnostics."""
+        tracker, result = self.tracker, self.result
+        shown: dict[str, Any] = {}
+        if tracker is not None:
+            shown |= {'gaussians': len(tracker.gaussians), 'keyframes': tracker.keyframes}
+        return shown if result is None else shown | numbers(result)

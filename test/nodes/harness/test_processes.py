@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sessions of processes beside each other on one host."""
+"""Several `Processes` on one host."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from dcgs_ros.nodes.harness import processes as session
+from dcgs_ros.nodes.harness import processes as module
 from dcgs_ros.nodes.harness.processes import Processes
 
 
-def test_no_two_sessions_hear_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, '_DOMAINS', 2)
+def test_no_two_use_one_domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, '_DOMAINS', 2)
     with Processes(tmp_path) as one:
         with Processes(tmp_path) as other:
             assert {one.domain, other.domain} == {0, 1}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Structured arrays as PointCloud2: the types that travel, any layout, and what is refused."""
+"""Structured arrays as PointCloud2: all row types, any layout, and what is refused."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -28,7 +29,7 @@ from dcgs_ros.nodes.messages.clouds import (
     unpack_rgb,
     write_cloud,
 )
-from dcgs_ros.nodes.messages.standard import header
+from dcgs_ros.nodes.messages.images import header
 
 HEADER = header(7, 'odom')
 TYPES = {
@@ -41,7 +42,7 @@ TYPES = {
 STRUCT = {5: 'i', 6: 'I', 7: 'f', 8: 'd'}
 
 
-def random_rows(dtype: np.dtype, count: int, seed: int) -> np.ndarray:
+def random_rows(dtype: np.dtype[Any], count: int, seed: int) -> NDArray[Any]:
     rng = np.random.default_rng(seed)
     rows = np.zeros(count, dtype)
     for name in dtype.names or ():
@@ -51,7 +52,7 @@ def random_rows(dtype: np.dtype, count: int, seed: int) -> np.ndarray:
 
 
 def laid_out(
-    rows: np.ndarray, seed: int, height: int, gaps: int, pitch_gap: int, big: bool
+    rows: NDArray[Any], seed: int, height: int, gaps: int, pitch_gap: int, big: bool
 ) -> PointCloud2:
     """Write rows as another program might: fields in any order, with gaps and others between."""
     rng = np.random.default_rng(seed)
@@ -129,8 +130,8 @@ def test_each_field_stands_where_the_message_says(kind: str) -> None:
 
 
 @pytest.mark.parametrize('kind', ['keyframe', 'map', 'shape'])
-def test_ids_come_first_and_no_byte_is_nobodys(kind: str) -> None:
-    """Padding would carry whatever memory held, and make equal rows differ."""
+def test_ids_come_first_and_there_is_no_padding(kind: str) -> None:
+    """Padding would carry arbitrary bytes, and make equal rows differ."""
     dtype = TYPES[kind]
     layout = dtype.fields
     assert layout is not None and layout['id'][1] == 0
@@ -146,7 +147,7 @@ def test_ids_are_exact_as_floating_point(epoch: int, index: int, own: int) -> No
     np.testing.assert_array_equal(read['id'].astype(np.int64), ids)
 
 
-def test_a_removed_gaussian_is_nan_but_for_its_id() -> None:
+def test_a_removed_gaussian_is_nan_except_for_its_id() -> None:
     names = (MAP_GAUSSIAN.names or ())[1:-1]
     removed = np.zeros(1, MAP_GAUSSIAN)
     for name in names:
@@ -188,8 +189,11 @@ def good() -> PointCloud2:
 
 
 BAD_CLOUDS: dict[str, tuple[dict[str, Any], str]] = {
-    'short data': ({'data': bytes(179)}, '5x1 points of 36 bytes in rows of 180 bytes are no 179'),
-    'no data': ({'data': b''}, 'are no 0 bytes'),
+    'short data': (
+        {'data': bytes(179)},
+        '5x1 points of 36 bytes in rows of 180 bytes do not match',
+    ),
+    'no data': ({'data': b''}, 'do not match 0 bytes'),
     'short rows': ({'row_step': 179}, 'in rows of 179 bytes'),
     'no rows': ({'row_step': 0}, 'in rows of 0 bytes'),
     'short points': ({'point_step': 35}, "'qw' ends at byte 36 of a point of 35"),

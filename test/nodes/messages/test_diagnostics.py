@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What /diagnostics gets."""
+"""A node's health as a message."""
 
 from __future__ import annotations
 
@@ -8,20 +8,24 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message, serialize_message
 
-from dcgs_ros.nodes.messages.standard import diagnostics, status, time_message
+from dcgs_ros.nodes.health import Level, Verdict
+from dcgs_ros.nodes.messages.diagnostics import diagnostics
+from dcgs_ros.nodes.messages.images import time_message
 
 
-def test_statuses_survive_the_wire() -> None:
-    fine = status(DiagnosticStatus.OK, 'tracker', 'tracking', {'frames': 12})
-    bad = status(DiagnosticStatus.ERROR, 'tracker: images', 'no images for 3 s', {})
-    sent = diagnostics(time_message(5), [fine, bad])
-    got = deserialize_message(serialize_message(sent), DiagnosticArray)
-    assert got.status == [fine, bad]
-    assert got.header.stamp == time_message(5)
-    assert [entry.level for entry in got.status] == [b'\x00', b'\x02']
+@pytest.mark.parametrize(
+    ('level', 'sent'), [(Level.OK, b'\x00'), (Level.WARN, b'\x01'), (Level.ERROR, b'\x02')]
+)
+def test_a_verdict_survives_the_wire(level: Level, sent: bytes) -> None:
+    message = diagnostics(time_message(5), 'eye: tracking', Verdict(level, 'why'), {'frames': 12})
+    got = deserialize_message(serialize_message(message), DiagnosticArray)
+    assert got == message and got.header.stamp == time_message(5)
+    (status,) = got.status
+    assert (status.level, status.name, status.message) == (sent, 'eye: tracking', 'why')
+    assert [(value.key, value.value) for value in status.values] == [('frames', '12')]
 
 
 @pytest.mark.parametrize(
@@ -30,5 +34,6 @@ def test_statuses_survive_the_wire() -> None:
      (True, 'True'), ('lost', 'lost'), (None, 'None')],
 )  # fmt: skip
 def test_values_are_text_that_people_read(value: object, text: str) -> None:
-    (shown,) = status(DiagnosticStatus.OK, 'a', 'b', {'key': value}).values
+    message = diagnostics(time_message(5), 'a', Verdict(Level.OK, 'b'), {'key': value})
+    (shown,) = message.status[0].values
     assert (shown.key, shown.value) == ('key', text)

@@ -21,14 +21,14 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from dcgs_ros.core.camera import CameraError, PinholeCamera
 from dcgs_ros.io.ros_images import MessageError, read_camera, read_color, read_depth
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_GAUSSIAN, read_cloud, write_cloud
-from dcgs_ros.nodes.messages.poses import matrix, pose_message
-from dcgs_ros.nodes.messages.standard import (
+from dcgs_ros.nodes.messages.images import (
     header,
     write_camera,
     write_color,
     write_depth,
     write_depth_mm,
 )
+from dcgs_ros.nodes.messages.poses import matrix, pose_message
 
 MESSAGES = 10_000
 PEAK_BYTES = 1_000_000  # the good messages have up to 10 kB each
@@ -126,7 +126,7 @@ KINDS: tuple[Kind, ...] = (
 
 
 def read_or_refuse(kind: Kind, rng: random.Random) -> bool:
-    """Break a good message in one to three places; whether it could be read nevertheless."""
+    """Break a good message in one to three places; return whether it could still be read."""
     make, faults, read = kind
     message = make()
     for _ in range(rng.randint(1, 3)):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Arrays as Image: what is written is what the readers read."""
+"""Stamps, images and cameras as messages: what is written is what the readers read."""
 
 from __future__ import annotations
 
@@ -12,21 +12,56 @@ from hypothesis import strategies as st
 pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
-from dcgs_ros.io.ros_images import MessageError, read_color, read_depth, stamp_ns
-from dcgs_ros.nodes.messages.standard import (
+from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
+from dcgs_ros.nodes.messages.images import (
     array_of,
     header,
+    time_message,
+    write_camera,
     write_color,
     write_depth,
     write_depth_mm,
 )
 
+EARLIEST_NS = -(2**31) * 10**9
+LATEST_NS = 2**31 * 10**9 - 1
 HEADER = header(1_700_000_000_123_456_789, 'camera')
 HALF_MM = 0.5e-3 * (1 + 1e-6)  # with the rounding of metres to float32
 SHAPES = st.tuples(st.integers(1, 8), st.integers(1, 8))
 SEEDS = st.integers(0, 2**32)
+PIXELS = st.floats(1.0, 5000.0)
+COEFFICIENTS = st.sampled_from([0, 4, 5, 8]).flatmap(
+    lambda count: st.tuples(*[st.floats(-1.0, 1.0)] * count)
+)
+CAMERAS = st.builds(
+    PinholeCamera,
+    st.integers(16, 8192),
+    st.integers(16, 8192),
+    PIXELS,
+    PIXELS,
+    PIXELS,
+    PIXELS,
+    COEFFICIENTS,
+)
+
+
+@given(st.integers(EARLIEST_NS, LATEST_NS) | st.sampled_from([EARLIEST_NS, -1, 0, LATEST_NS]))
+def test_a_stamp_survives_the_wire(ns: int) -> None:
+    sent = header(ns, 'camera')
+    got = deserialize_message(serialize_message(sent), Header)
+    assert stamp_ns(got.stamp) == ns
+    assert 0 <= got.stamp.nanosec < 10**9
+    assert got.frame_id == 'camera'
+
+
+@pytest.mark.parametrize('ns', [EARLIEST_NS - 1, LATEST_NS + 1, 2**62])
+def test_a_stamp_beyond_32_bits_of_seconds_is_refused(ns: int) -> None:
+    with pytest.raises(MessageError, match=f'{ns // 10**9} s does not fit'):
+        time_message(ns)
 
 
 def over_the_wire(message: Image) -> Image:
@@ -101,3 +136,33 @@ def test_bytes_are_those_of_the_array_in_c_order() -> None:
         assert array_of(array).tobytes() == array.tobytes()
     for raw in (b'ab', bytearray(b'ab'), memoryview(b'ab'), b''):
         assert array_of(raw).tobytes() == bytes(raw)
+
+
+@settings(max_examples=100)
+@given(CAMERAS)
+def test_a_camera_survives_exactly(camera: PinholeCamera) -> None:
+    message = deserialize_message(serialize_message(write_camera(camera, HEADER)), CameraInfo)
+    again = read_camera(message)
+    assert (again.width, again.height) == (camera.width, camera.height)
+    np.testing.assert_array_equal(again.parameters, camera.parameters)
+    assert read_camera(write_camera(again, HEADER)) == again
+
+
+@pytest.mark.parametrize(
+    ('count', 'model', 'written'),
+    [(0, 'plumb_bob', 5), (4, 'plumb_bob', 5), (5, 'plumb_bob', 5), (8, 'rational_polynomial', 8)],
+)
+def test_a_lens_has_the_numbers_that_ros_gives_its_model(
+    count: int, model: str, written: int
+) -> None:
+    camera = PinholeCamera(640, 480, 525.0, 526.0, 319.5, 239.5, (0.01,) * count)
+    message = write_camera(camera, HEADER)
+    assert message.distortion_model == model
+    assert list(message.d) == [0.01] * count + [0.0] * (written - count)
+
+
+def test_the_projection_is_the_cameras_own() -> None:
+    message = write_camera(PinholeCamera(640, 480, 525.0, 526.0, 319.5, 239.5), HEADER)
+    assert list(message.k) == [525.0, 0, 319.5, 0, 526.0, 239.5, 0, 0, 1]
+    assert list(message.p) == [525.0, 0, 319.5, 0, 0, 526.0, 239.5, 0, 0, 0, 1, 0]
+    np.testing.assert_array_equal(message.r.reshape(3, 3), np.eye(3))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keyframes and answers over the wire: exact where they must be, refused where they cannot be."""
+"""Keyframes and answers as messages: exact, or refused."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe import Keyframe, MapUpdate
+from dcgs_ros.core.keyframe import Keyframe, MapUpdate, PosedFrame
 from dcgs_ros.io.ros_images import stamp_ns
+from dcgs_ros.nodes.mapping.keyframe_subscriber import Joiner
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, joined_ids
 from dcgs_ros.nodes.messages.keyframes import (
@@ -32,8 +33,7 @@ from dcgs_ros.nodes.messages.keyframes import (
     write_answer,
     write_keyframe,
 )
-from dcgs_ros.nodes.tracking.keyframe_sender import KeyframePacket
-from dcgs_ros.nodes.tracking.pairing import Joiner
+from dcgs_ros.nodes.messages.packet import KeyframePacket
 
 CAMERA = PinholeCamera(40, 30, 38.5, 38.25, 19.75, 14.5, (0.1, -0.2, 0.001, 0.002, 0.3))
 STAMP = 1_700_000_000_123_456_789
@@ -43,7 +43,7 @@ INDICES = st.lists(st.integers(0, EPOCH - 1), max_size=12, unique=True)
 QUICK = settings(max_examples=50, deadline=None)
 
 
-def offer_of(
+def packet_of(
     epoch: int = 5, indices: list[int] | None = None, grey: bool = False, seed: int = 0
 ) -> KeyframePacket:
     rng = np.random.default_rng(seed)
@@ -56,12 +56,17 @@ def offer_of(
         se3.exp(rng.normal(size=6)), se3.exp(0.02 * rng.normal(size=6)),
         ids, rng.normal(size=(len(ids), 3)).astype(np.float32), normals,
     )  # fmt: skip
-    return KeyframePacket(epoch, CAMERA, keyframe)
+    return KeyframePacket(epoch, CAMERA, keyframe, 'optical')
 
 
-def sent(offer: KeyframePacket) -> dict[str, Any]:
-    """What arrives."""
-    messages = write_keyframe(offer, 'odom', 'optical')
+def keyframe_of(packet: KeyframePacket) -> Keyframe:
+    assert isinstance(packet.posed, Keyframe)
+    return packet.posed
+
+
+def sent(packet: KeyframePacket) -> dict[str, Any]:
+    """Return the messages as they arrive."""
+    messages = write_keyframe(packet, 'odom')
     return {
         name: deserialize_message(serialize_message(message), TOPICS[name])
         for name, message in messages.items()
@@ -73,23 +78,42 @@ def sent(offer: KeyframePacket) -> dict[str, Any]:
 def test_a_keyframe_arrives_as_it_was(
     epoch: int, indices: list[int], grey: bool, seed: int
 ) -> None:
-    offer = offer_of(epoch, indices, grey, seed)
-    found = read_keyframe(sent(offer))
-    one, other = offer.keyframe, found.keyframe
-    assert found.camera == CAMERA and found.epoch == (epoch if indices else 0)
+    packet = packet_of(epoch, indices, grey, seed)
+    found = read_keyframe(sent(packet))
+    assert (found.camera, found.camera_frame) == (CAMERA, 'optical')
+    assert_same_view(found.posed, packet.posed)
+    assert found.epoch == (epoch if indices else 0)
+    if not indices:
+        assert type(found.posed) is PosedFrame
+        return
+    one, other = keyframe_of(packet), keyframe_of(found)
     np.testing.assert_array_equal(other.ids, joined_ids(epoch, one.ids))
     np.testing.assert_array_equal(other.means, one.means)
     np.testing.assert_array_equal(other.normals, one.normals)
     assert other.means.dtype == other.normals.dtype == np.float32
-    assert other.frame.stamp_ns == STAMP
-    np.testing.assert_array_equal(other.frame.color, one.frame.color)
-    np.testing.assert_array_equal(other.frame.depth_m, one.frame.depth_m)
-    np.testing.assert_allclose(other.T_world_cam, one.T_world_cam, atol=POSE)
-    np.testing.assert_allclose(other.T_cam_cam_at_depth, one.T_cam_cam_at_depth, atol=POSE)
+
+
+def assert_same_view(found: PosedFrame, sent: PosedFrame) -> None:
+    assert found.frame.stamp_ns == STAMP
+    np.testing.assert_array_equal(found.frame.color, sent.frame.color)
+    np.testing.assert_array_equal(found.frame.depth_m, sent.frame.depth_m)
+    np.testing.assert_allclose(found.T_world_cam, sent.T_world_cam, atol=POSE)
+    np.testing.assert_allclose(found.T_cam_cam_at_depth, sent.T_cam_cam_at_depth, atol=POSE)
+
+
+def test_a_view_between_keyframes_is_one_without_gaussians() -> None:
+    packet = packet_of()
+    view = PosedFrame(packet.posed.frame, packet.posed.T_world_cam, np.eye(4))
+    parts = sent(replace(packet, posed=view))
+    assert parts['gaussians'].width == 0
+    found = read_keyframe(parts)
+    assert found.epoch == 0 and not found.carries_gaussians
+    assert type(found.posed) is PosedFrame
+    assert_same_view(found.posed, view)
 
 
 def test_all_parts_carry_one_stamp_and_the_frame_they_are_in() -> None:
-    parts = sent(offer_of())
+    parts = sent(packet_of())
     assert parts.keys() == TOPICS.keys()
     for name, message in parts.items():
         assert stamp_ns(message.header.stamp) == STAMP
@@ -103,8 +127,8 @@ def test_all_parts_carry_one_stamp_and_the_frame_they_are_in() -> None:
 
 def test_others_can_read_where_gaussians_and_depth_are() -> None:
     """Means and viewpoints in the world; `depth_pose` is where the camera was at the depth."""
-    offer = offer_of()
-    keyframe, parts = offer.keyframe, sent(offer)
+    packet = packet_of()
+    keyframe, parts = keyframe_of(packet), sent(packet)
     rows = read_cloud(parts['gaussians'], KEYFRAME_GAUSSIAN)
     for k, axis in enumerate('xyz'):
         np.testing.assert_array_equal(rows[axis], keyframe.means[:, k])
@@ -116,14 +140,14 @@ def test_others_can_read_where_gaussians_and_depth_are() -> None:
 
 
 def test_depth_is_rounded_to_the_millimetre_and_none_beyond_its_range() -> None:
-    offer = offer_of()
+    packet = packet_of()
     depth_m = np.full((30, 40), 1.2344, np.float32)
     depth_m[0, :6] = 0.0, np.nan, np.inf, -1.0, 65.535, 65.6
-    frame = replace(offer.keyframe.frame, depth_m=depth_m)
-    found = read_keyframe(sent(replace(offer, keyframe=replace(offer.keyframe, frame=frame))))
+    frame = replace(keyframe_of(packet).frame, depth_m=depth_m)
+    found = read_keyframe(sent(replace(packet, posed=replace(packet.posed, frame=frame))))
     expected = np.full((30, 40), 1234, np.float32) / np.float32(1000)
     expected[0, :6] = 0, 0, 0, 0, np.float32(65.535), 0
-    np.testing.assert_array_equal(found.keyframe.frame.depth_m, expected)
+    np.testing.assert_array_equal(keyframe_of(found).frame.depth_m, expected)
 
 
 def with_ids(parts: dict[str, Any], ids: list[float]) -> dict[str, Any]:
@@ -140,9 +164,9 @@ E5 = 5.0 * EPOCH
     [[E5, E5 + EPOCH], [-1.0], [E5, -3.0], [0.0], [EPOCH - 1.0], [E5 + 0.5], [np.nan], [np.inf],
      [-np.inf], [2.0**53], [1e300], [E5, np.nan]],
 )  # fmt: skip
-def test_ids_that_are_none_of_one_map_are_refused(ids: list[float]) -> None:
+def test_ids_that_are_not_of_one_map_are_refused(ids: list[float]) -> None:
     with pytest.raises(DcgsError):
-        read_keyframe(with_ids(sent(offer_of()), ids))
+        read_keyframe(with_ids(sent(packet_of()), ids))
 
 
 def replaced(parts: dict[str, Any], name: str, field: str, value: Any) -> dict[str, Any]:
@@ -168,7 +192,7 @@ BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
 
 @pytest.mark.parametrize('fault', BROKEN)
 def test_what_cannot_be_a_keyframe_is_refused_in_words(fault: str) -> None:
-    parts = sent(offer_of())
+    parts = sent(packet_of())
     BROKEN[fault](parts)
     with pytest.raises(DcgsError) as refused:
         read_keyframe(parts)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mapper's map as rows, and as its topics tell it to who listens."""
+"""The mapper's map as rows, and as its topics publish it."""
 
 from __future__ import annotations
 
@@ -34,13 +34,8 @@ from dcgs_ros.nodes.mapping import outputs as module
 from dcgs_ros.nodes.mapping.outputs import MapOutputs
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_POSE, MAP_GAUSSIAN, read_cloud, unpack_rgb
 from dcgs_ros.nodes.messages.ids import EPOCH
-from dcgs_ros.nodes.messages.maps import (
-    UPDATES_KEPT,
-    keyframe_rows,
-    map_rows,
-    read_poses,
-    read_stamps,
-)
+from dcgs_ros.nodes.messages.map_rows import keyframe_rows, map_rows
+from dcgs_ros.nodes.messages.maps import UPDATES_KEPT, read_poses, read_stamps
 from dcgs_ros.nodes.tracking.map_mirror import MapMirror
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -79,7 +74,7 @@ def fill(mapper: Mapper, ids: NDArray[np.int64], seed: int) -> None:
 
 
 def some_ids(count: int, seed: int = 1) -> NDArray[np.int64]:
-    """Of a tracker with a late epoch and of the mapper, shuffled."""
+    """Return ids of a tracker with the highest epoch and of the mapper, shuffled."""
     rng = np.random.default_rng(seed)
     tracked = ((1 << 20) - 1) * EPOCH + rng.permutation(count)
     return rng.permutation(np.concatenate([tracked, -1 - np.arange(count // 2)]))
@@ -135,7 +130,7 @@ def test_an_empty_map_and_one_without_views_have_no_rows() -> None:
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('garbage', [np.nan, np.inf, -np.inf, 3e38, -3e38, 0.0])
 def test_no_row_is_of_what_is_not_finite(garbage: float) -> None:
-    """Whatever a Gaussian has come to, its row is a Gaussian's, or there is none."""
+    """A Gaussian with unusable parameters has no row."""
     mapper = mapper_with(some_ids(60))
     for k in range(14):
         mapper.table.splats.planes[k, 2 * k] = garbage
@@ -200,7 +195,7 @@ class FakeNode:
 
 
 class Clock:
-    """Monotonic time that the test moves."""
+    """Monotonic time under the control of the test."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -224,7 +219,7 @@ def outputs_with(**values: Any) -> tuple[FakeNode, MapOutputs]:
 
 
 def listener(node: FakeNode) -> MapMirror:
-    """A mirror of one who comes now."""
+    """Return the mirror of a subscriber that starts now."""
     mirror = MapMirror()
     for name, take in (('gaussian_map_updates', mirror.update), ('gaussian_map', mirror.whole)):
         topic = node.topics[name]
@@ -233,7 +228,7 @@ def listener(node: FakeNode) -> MapMirror:
     return mirror
 
 
-def assert_same(rows: NDArray | None, expected: NDArray) -> None:
+def assert_same(rows: NDArray[Any] | None, expected: NDArray[Any]) -> None:
     assert rows is not None and len(rows) == len(expected)
     for name in MAP_GAUSSIAN.names or ():
         one, other = (np.ascontiguousarray(r[name]).view(np.uint8) for r in (rows, expected))
@@ -245,12 +240,13 @@ ACTIONS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(ACTIONS, st.sampled_from([0.0, 0.1, 30.0]), st.floats(0.01, 30.0))
-def test_who_comes_at_any_time_has_the_map_as_it_is(
+def test_a_subscriber_has_the_map_as_it_is_whenever_it_starts(
     clock: Clock, actions: list[str], map_rate_hz: float, pause_s: float
 ) -> None:
-    """Exactly, also where the whole map is hardly ever published, and after a reset."""
+    """Exactly, even where the whole map is hardly ever published, and after a reset."""
     node, outputs = outputs_with(map_rate_hz=map_rate_hz)
     mapper: Mapper | None = mapper_with(some_ids(12))
     outputs.update(mapper)
@@ -332,7 +328,7 @@ def test_the_list_of_keyframes_is_whole_each_time(clock: Clock) -> None:
     outputs.keyframes(mapper)
     first, second = (
         read_stamps(read_cloud(cloud, KEYFRAME_POSE))
-        for cloud in node.topics['~/keyframes'].messages
+        for cloud in node.topics['keyframe/received'].messages
     )
     assert first == [] and second == [view.stamp_ns for view in mapper.views]
 

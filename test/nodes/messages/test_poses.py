@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -19,6 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from dcgs_ros.core import se3
 from dcgs_ros.io.ros_images import MessageError
+from dcgs_ros.nodes.messages.images import header
 from dcgs_ros.nodes.messages.poses import (
     matrix,
     path,
@@ -26,7 +28,6 @@ from dcgs_ros.nodes.messages.poses import (
     pose_stamped,
     transform_stamped,
 )
-from dcgs_ros.nodes.messages.standard import header
 
 HEADER = header(3, 'odom')
 ROUNDING = 1e-12
@@ -35,7 +36,7 @@ ANGLES = st.sampled_from([0.0, 1e-9, 1e-3, 1.0, math.pi - 1e-9, math.pi])
 
 
 @st.composite
-def transforms(draw: st.DrawFn) -> np.ndarray:
+def transforms(draw: st.DrawFn) -> NDArray[np.float64]:
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     axis = rng.normal(size=3)
     T = se3.exp(np.concatenate([np.zeros(3), draw(ANGLES) * axis / np.linalg.norm(axis)]))
@@ -45,7 +46,7 @@ def transforms(draw: st.DrawFn) -> np.ndarray:
 
 @settings(max_examples=60)
 @given(transforms())
-def test_a_pose_survives_the_wire(T: np.ndarray) -> None:
+def test_a_pose_survives_the_wire(T: NDArray[np.float64]) -> None:
     sent = pose_stamped(T, HEADER)
     got = deserialize_message(serialize_message(sent), PoseStamped)
     np.testing.assert_allclose(matrix(got.pose), T, rtol=0, atol=ROUNDING)
@@ -54,7 +55,7 @@ def test_a_pose_survives_the_wire(T: np.ndarray) -> None:
 
 @settings(max_examples=60)
 @given(transforms())
-def test_a_transform_has_the_numbers_of_the_pose(T: np.ndarray) -> None:
+def test_a_transform_has_the_numbers_of_the_pose(T: NDArray[np.float64]) -> None:
     sent = transform_stamped(T, HEADER, 'camera')
     got = deserialize_message(serialize_message(sent), TransformStamped)
     move, pose = got.transform, pose_message(T)
@@ -75,7 +76,7 @@ def test_a_quarter_turn_about_z() -> None:
 @settings(max_examples=60)
 @given(transforms(), st.floats(1e-3, 1e200), st.sampled_from([-1, 1]))
 def test_neither_length_nor_sign_of_a_quaternion_matters(
-    T: np.ndarray, length: float, sign: int
+    T: NDArray[np.float64], length: float, sign: int
 ) -> None:
     pose = pose_message(T)
     q = pose.orientation
@@ -89,7 +90,7 @@ def test_a_pose_that_is_not_finite_is_refused(field: str, bad: float) -> None:
     pose = pose_message(np.eye(4))
     part, _, name = field.partition('.')
     setattr(getattr(pose, part), name, bad)
-    with pytest.raises(MessageError, match=rf'{bad}.* is no pose'):
+    with pytest.raises(MessageError, match=rf'{bad}.* are not a pose'):
         matrix(pose)
 
 
@@ -97,7 +98,7 @@ def test_infinities_that_cancel_and_lengths_that_overflow_are_refused_too() -> N
     for position in ((math.inf, -math.inf, 0.0), (1.7e308, 1.7e308, 0.0)):
         pose = pose_message(np.eye(4))
         pose.position.x, pose.position.y, pose.position.z = position
-        with pytest.raises(MessageError, match='is no pose'):
+        with pytest.raises(MessageError, match='are not a pose'):
             matrix(pose)
 
 

@@ -29,7 +29,7 @@ TEXT = 1e-3  # of what a quaternion may be off in length
 class Known:
     """TF that knows one transform, or none."""
 
-    def __init__(self, T: NDArray | None) -> None:
+    def __init__(self, T: NDArray[np.float64] | None) -> None:
         self.T, self.asked = T, list[tuple[str, str]]()
 
     def send(self, transform: TransformStamped) -> None:
@@ -37,12 +37,14 @@ class Known:
 
     send_static = send
 
-    def lookup(self, parent: str, child: str) -> NDArray | None:
+    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
         self.asked.append((parent, child))
         return self.T
 
 
-def found(text: str = 'auto', T: NDArray | None = None, base: str = 'base_link') -> NDArray:
+def found(
+    text: str = 'auto', T: NDArray[np.float64] | None = None, base: str = 'base_link'
+) -> NDArray[np.float64]:
     settings = replace(TrackerNodeSettings(), base_to_camera=text, base_frame=base)
     return base_to_camera(settings, Known(T), CAMERA)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a tracker's state means to who watches /diagnostics."""
+"""What /diagnostics say of a tracker's state."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgs_ros.core.tracking.observability import Observability, observability
-from dcgs_ros.core.tracking.tracker import TrackingState, TrackResult
-from dcgs_ros.nodes.tracking.health import Level, Streams, judge, numbers, weakest_axis
+from dcgs_ros.core.tracking.result import TrackingState, TrackResult
+from dcgs_ros.nodes.health import Level
+from dcgs_ros.nodes.tracking.health import Streams, judge, numbers, weakest_axis
 
 FINE = Streams(color=30, depth=30, pairs=30, dropped=0, has_camera=True, silent_s=0.03)
-NO_IDS = np.empty(0, np.int64)
 
 
 def spectrum() -> Observability:
-    """Of a camera that may well move along its y."""
+    """Return the observability of a camera that is free to move along its y."""
     H = np.diag([1e4, 1e1, 1e4, 1e5, 1e5, 1e5])
     return observability(H, H)
 
 
 def result_in(state: TrackingState, seen: Observability | None = None) -> TrackResult:
     return TrackResult(
-        1, np.eye(4), np.eye(4), np.eye(6), state, seen, 2000, 1500, 120, False, NO_IDS, -3.5
+        1, np.eye(4), np.eye(4), np.eye(6), state, seen, 2000, 1500, 120, False, (), -3.5
     )
 
 
 GOOD = result_in(TrackingState.OK, spectrum())
 
 
-def test_all_is_well_where_all_is_well() -> None:
+def test_normal_tracking_is_ok() -> None:
     verdict = judge(FINE, GOOD, False)
     assert (verdict.level, verdict.message) == (Level.OK, 'tracking')
 
@@ -51,7 +51,9 @@ def test_all_is_well_where_all_is_well() -> None:
         ({}, 'none could be used'),
     ],
 )
-def test_before_the_first_pose_what_lacks_is_named(lacking: dict[str, Any], named: str) -> None:
+def test_before_the_first_pose_what_is_missing_is_named(
+    lacking: dict[str, Any], named: str
+) -> None:
     verdict = judge(replace(FINE, **lacking), None, False)
     assert verdict.level is Level.ERROR and named in verdict.message
 
@@ -64,7 +66,7 @@ def test_before_the_first_pose_what_lacks_is_named(lacking: dict[str, Any], name
 def test_a_stream_that_ends_is_named_though_the_other_goes_on(
     gone: str, named: str, state: TrackingState
 ) -> None:
-    """The last pose was good; no other will come."""
+    """Even though the last pose was good."""
     lacking: dict[str, Any] = {} if gone == 'slop' else {gone: 0}
     streams = replace(FINE, pairs=0, **lacking)
     verdict = judge(streams, result_in(state, spectrum()), False)
@@ -72,7 +74,7 @@ def test_a_stream_that_ends_is_named_though_the_other_goes_on(
 
 
 def test_a_slow_camera_is_no_broken_one() -> None:
-    """Of an image a second it may be that a report falls between colour and depth."""
+    """At one image a second a report may fall between colour and depth."""
     for color, depth in ((1, 0), (0, 1), (1, 1), (2, 1)):
         streams = replace(FINE, color=color, depth=depth, pairs=0, silent_s=0.9)
         assert judge(streams, GOOD, False).level is Level.OK

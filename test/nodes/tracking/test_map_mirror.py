@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A mirror of the map is the map, whoever comes late; and a tracker goes on in it."""
+"""A mirror of the map is the map, however late it subscribed; a tracker goes on in it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH
-from dcgs_ros.nodes.tracking.map_mirror import MapMirror, Resumable, changes
+from dcgs_ros.nodes.messages.maps import changes
+from dcgs_ros.nodes.tracking.map_mirror import MapMirror, Resumable
 
 KEPT = 32  # updates that a late subscriber still gets
 FLOAT32 = 1e-5
@@ -28,10 +30,10 @@ FIELDS = MAP_GAUSSIAN.names or ()
 LATER_NS = 10**6  # than all else
 QUICK = settings(max_examples=50, deadline=None)
 
-Message = tuple[str, int, NDArray]  # topic, stamp, rows
+Message = tuple[str, int, NDArray[Any]]  # topic, stamp, rows
 
 
-def rows_of(ids: Sequence[int], seed: int = 0) -> NDArray:
+def rows_of(ids: Sequence[int], seed: int = 0) -> NDArray[Any]:
     """Rows in ascending order of id, the mapper's own without a tracking covariance."""
     rows = np.zeros(len(ids), MAP_GAUSSIAN)
     numbers = np.random.default_rng(seed).normal(size=(len(FIELDS), len(ids)))
@@ -42,8 +44,8 @@ def rows_of(ids: Sequence[int], seed: int = 0) -> NDArray:
     return rows
 
 
-def assert_same(rows: NDArray | None, expected: NDArray) -> None:
-    """Bit by bit, whatever there is between the fields."""
+def assert_same(rows: NDArray[Any] | None, expected: NDArray[Any]) -> None:
+    """Compare bit by bit, without the padding between fields."""
     assert rows is not None and len(rows) == len(expected)
     for name in FIELDS:
         one, other = (np.ascontiguousarray(r[name]).view(np.uint8) for r in (rows, expected))
@@ -55,8 +57,8 @@ IDS = st.sets(st.integers(-6, 6).map(lambda k: k if k < 0 else 7 * EPOCH + k))
 
 
 @st.composite
-def histories(draw: st.DrawFn) -> list[NDArray]:
-    """Maps as they follow each other: some rows stay, some change, some go, some come."""
+def histories(draw: st.DrawFn) -> list[NDArray[Any]]:
+    """Successive maps: some rows stay, some change, some are removed, some are added."""
     maps = [rows_of([])]
     for _ in range(draw(st.integers(1, 6))):
         ids = np.array(sorted(draw(IDS)), np.int64)
@@ -70,7 +72,7 @@ def histories(draw: st.DrawFn) -> list[NDArray]:
 
 @QUICK
 @given(histories())
-def test_changes_are_what_changed_and_no_more(maps: list[NDArray]) -> None:
+def test_changes_are_what_changed_and_no_more(maps: list[NDArray[Any]]) -> None:
     for before, now in pairwise(maps):
         news = changes(before, now)
         was = {row['id']: row.tobytes() for row in before}
@@ -88,12 +90,12 @@ def test_changes_are_what_changed_and_no_more(maps: list[NDArray]) -> None:
 
 @dataclass
 class Publisher:
-    """What the mapper's topics carried, and what of it they still have for who comes late."""
+    """What the mapper's topics carried, and what late subscribers still get of it."""
 
     messages: list[Message]
 
     def seen_from(self, start: int) -> tuple[list[Message], list[Message]]:
-        """Whole maps and updates of one who subscribes when `start` messages were sent."""
+        """Return what a subscriber after `start` messages gets: whole maps, updates."""
         past, to_come = self.messages[:start], self.messages[start:]
         topics = []
         for topic, depth in (('whole', 1), ('update', KEPT)):
@@ -102,8 +104,10 @@ class Publisher:
         return topics[0], topics[1]
 
 
-def published(maps: list[NDArray], wholes: Sequence[bool], stamp_ns: int = 100) -> list[Message]:
-    """An update for each map, a whole one with some; the first always."""
+def published(
+    maps: list[NDArray[Any]], wholes: Sequence[bool], stamp_ns: int = 100
+) -> list[Message]:
+    """Return an update for each map, and a whole map with the first and some others."""
     messages: list[Message] = []
     for k, (before, now) in enumerate(pairwise(maps)):
         messages.append(('update', stamp_ns + k, changes(before, now)))
@@ -113,7 +117,7 @@ def published(maps: list[NDArray], wholes: Sequence[bool], stamp_ns: int = 100) 
 
 
 def feed(mirror: MapMirror, topics: tuple[list[Message], list[Message]], seed: int) -> None:
-    """Each topic in its order, the two of them interleaved anyhow."""
+    """Deliver each topic in order, the two of them interleaved at random."""
     waiting, rng = [list(topic) for topic in topics], np.random.default_rng(seed)
     while any(waiting):
         topic = waiting[rng.integers(2)]
@@ -128,7 +132,7 @@ WHOLES = st.lists(st.booleans(), min_size=1, max_size=8)
 @QUICK
 @given(histories(), WHOLES, st.integers(0, 20), SEEDS)
 def test_a_mirror_is_the_map_however_late_it_comes_and_however_topics_interleave(
-    maps: list[NDArray], wholes: list[bool], start: int, seed: int
+    maps: list[NDArray[Any]], wholes: list[bool], start: int, seed: int
 ) -> None:
     publisher, mirror = Publisher(published(maps, wholes)), MapMirror()
     feed(mirror, publisher.seen_from(start), seed)
@@ -137,11 +141,11 @@ def test_a_mirror_is_the_map_however_late_it_comes_and_however_topics_interleave
 
 @QUICK
 @given(histories(), WHOLES, histories(), WHOLES, st.integers(90, 110), SEEDS)
-def test_a_mirror_goes_over_to_another_mapper(
-    maps: list[NDArray], wholes: list[bool], others: list[NDArray], other_wholes: list[bool],
-    stamp_ns: int, seed: int,
+def test_a_mirror_changes_over_to_another_mapper(
+    maps: list[NDArray[Any]], wholes: list[bool], others: list[NDArray[Any]],
+    other_wholes: list[bool], stamp_ns: int, seed: int,
 ) -> None:  # fmt: skip
-    """One that was started again, at the latest with its next whole map.
+    """One that was restarted, at the latest with its next whole map.
 
     Its stamps may be older, since views do not come again, and lie among those of the other.
     """
@@ -156,8 +160,8 @@ def test_a_mirror_goes_over_to_another_mapper(
 
 @QUICK
 @given(histories())
-def test_updates_alone_are_no_map(maps: list[NDArray]) -> None:
-    """Who has seen no whole map does not take a part of it for one."""
+def test_updates_alone_are_no_map(maps: list[NDArray[Any]]) -> None:
+    """Without a whole map there are no rows."""
     mirror = MapMirror()
     for k, (before, now) in enumerate(pairwise(maps)):
         mirror.update(k, changes(before, now))
@@ -200,8 +204,8 @@ POSES = [se3.exp(np.array([0.3 * k, 0.1, -0.2 * k, 0.1 * k, 0.2, 0.05 * k])) for
 STAMPS = [10, 20, 30]
 
 
-def tracked_rows(count: int = 60, epoch: int = 5) -> NDArray:
-    """Discs in front of the keyframes, well formed."""
+def tracked_rows(count: int = 60, epoch: int = 5) -> NDArray[Any]:
+    """Return well-formed discs in front of the keyframes."""
     rng = np.random.default_rng(3)
     rows = rows_of([epoch * EPOCH + 3 * k for k in range(count)])
     rows['keyframe'] = rng.integers(0, len(POSES), count)
@@ -263,7 +267,7 @@ def test_where_a_tracker_has_nothing_there_is_nothing_to_go_on_in() -> None:
 
 @pytest.mark.filterwarnings('error')
 def test_rows_that_cannot_be_gaussians_are_passed_over() -> None:
-    """Of a keyframe that is none, an epoch that is none, or not finite; flat ones are no such."""
+    """Unknown keyframes, epochs out of range, not finite; a scale of 0 is usable."""
     rows = tracked_rows()
     rows['keyframe'][:4] = -1, 3, -(2**31), 2**31 - 1
     rows['id'][4:8] = np.nan, np.inf, 2.0**60, 3

@@ -30,7 +30,7 @@ Writer = Callable[..., Path]
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = '60,61,31.5,23.5'  # intrinsics of the 64x48 images of `tum_folder`
-TIMEOUT_S = 120.0  # of a subprocess that may have to compile
+TIMEOUT_S = 600.0  # of a subprocess that may have to compile
 FILE_LIMIT = 20_000_000  # bytes
 ROOM = 'synthetic:room?frames={}&sensor=ideal'
 

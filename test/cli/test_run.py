@@ -67,7 +67,7 @@ CONTRACT = {
 }
 ROOM_ATE_CM = 1.0
 PRINTED_M = 1e-9  # decimals of a trajectory file
-TIMEOUT_S = 120.0  # of a subprocess that may have to compile
+TIMEOUT_S = 600.0  # of a subprocess that may have to compile
 
 
 def track_into(folder: Path, *words: str) -> Run:

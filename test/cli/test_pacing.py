@@ -53,7 +53,7 @@ def test_who_is_slow_gets_the_newest_and_is_told_of_the_others() -> None:
                 assert go_on.wait(PATIENCE_S)
             yield frame(k)
 
-    kinds = {}
+    kinds: dict[int, type] = {}
     with closing(paced(camera())) as items:
         for item in items:
             assert not isinstance(item, BadFrame)

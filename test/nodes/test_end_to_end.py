@@ -73,7 +73,7 @@ def test_every_pair_is_tracked_and_the_map_arrives_whole(robot: Robot) -> None:
             scales = np.exp(saved.splats.log_scales[k, order])
             np.testing.assert_array_equal(rows[f'scale_{k}'], scales)
         np.testing.assert_array_equal(rows['keyframe'], saved.hosts[order])
-        wait_until(lambda: same_map(robot.observer, late), LOADED_S, 'who was there from the start too')
+        wait_until(lambda: same_map(robot.observer, late), LOADED_S, 'so has who was there first')
     finally:
         late.close()
     assert robot.processes.stop(tracker, signal.SIGINT) == 0

@@ -25,6 +25,11 @@ from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.nodes.lifetime import Worker, run
 
 
+def wait_for_shutdown():
+    while rclpy.ok():
+        time.sleep(0.01)
+
+
 class Example(Node):
     def __init__(self):
         {opening}
@@ -103,7 +108,7 @@ def test_a_shutdown_of_ros_ends_it_too(start: Start) -> None:
 
 
 def test_a_signal_while_the_node_is_made_is_no_error(start: Start) -> None:
-    process = start(opening="print('making', flush=True)\n        while rclpy.ok(): time.sleep(0.01)")
+    process = start(opening="print('making', flush=True); wait_for_shutdown()")
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err) == (0, '', '')

@@ -44,7 +44,7 @@ class Clock:
         self.now_s += timeout_s + LATE_S
         return False
 
-    def pace(self, rate: float, tick: Callable[[int], object]) -> Pace:
+    def pace(self, rate: float, tick: Callable[[int], None]) -> Pace:
         stop = SimpleNamespace(wait=self.wait, is_set=lambda: False)
         return Pace(rate, tick, cast(threading.Event, stop))
 

@@ -84,7 +84,12 @@ def test_images_of_a_camera_arrive_best_effort(ros_environment: dict[str, str]) 
         for program in (READER, WRITER)
     )
     came: queue.Queue[str] = queue.Queue()
-    listening = threading.Thread(target=lambda: [came.put(line) for line in reader.stdout or ()])
+
+    def listen() -> None:
+        for line in reader.stdout or ():
+            came.put(line)
+
+    listening = threading.Thread(target=listen)
     listening.start()
 
     def arrives(number: int, within_s: float) -> bool:

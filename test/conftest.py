@@ -11,6 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
+
+# No example is too slow for a machine. `make quick` draws fewer of them.
+settings.register_profile('thorough', deadline=None)
+settings.register_profile('quick', deadline=None, max_examples=20)
+settings.load_profile('thorough')
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -58,11 +58,13 @@ demo: $(INSTALLED)
 demo-ros: $(INSTALLED)
 	$(VENV_PYTHON) -m dcgs_ros.nodes.demo
 
+# The slow ones one by one: nodes are processes, and want all cores.
 test: $(TOOLED)
-	$(VENV_PYTHON) -m pytest
+	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto --dist loadfile
+	$(VENV_PYTHON) -m pytest -m slow
 
 quick: $(TOOLED)
-	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto
+	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto --dist loadfile --hypothesis-profile=quick
 
 lint: $(TOOLED)
 	$(VENV_PYTHON) -m ruff check .

@@ -65,6 +65,7 @@ def test_tum_to_bags_to_tum_gives_the_original(tum_folder: Writer, tmp_path: Pat
     np.testing.assert_array_equal(back.stamps_ns, original.groundtruth.stamps_ns)
 
 
+@pytest.mark.slow
 def test_real_depth_survives_bit_for_bit(data_dir: Path, tmp_path: Path) -> None:
     folder, few = data_dir / 'tum_fr3_teddy_200', ('--max-frames', '4')
     assert convert(folder, tmp_path / 'a', '--camera', 'fr3', *few) == 0

@@ -174,6 +174,7 @@ def loaded_after(code: str) -> set[str]:
     return set(done.stdout.split())
 
 
+@pytest.mark.slow
 def test_help_waits_for_nothing_and_a_run_not_for_the_plot() -> None:
     light = loaded_after('import dcgs_ros.cli.main')
     assert not light & {'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
@@ -182,6 +183,7 @@ def test_help_waits_for_nothing_and_a_run_not_for_the_plot() -> None:
     assert not running & {'matplotlib', 'torch'}
 
 
+@pytest.mark.slow
 def test_the_module_is_the_command() -> None:
     command = [sys.executable, '-m', 'dcgs_ros.cli', 'evaluate', 'a', 'b']
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

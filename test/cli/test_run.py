@@ -203,6 +203,7 @@ def test_settings_are_layered(tmp_path: Path) -> None:
     assert done.report()['ablation'] == 'sigma_t'
 
 
+@pytest.mark.slow
 def test_the_truth_never_reaches_the_tracker(tum_folder: Writer, tmp_path: Path) -> None:
     folder = tum_folder(frames=6)
     with_truth = track_into(tmp_path / 'with', str(folder), '--camera', SMALL)
@@ -353,6 +354,7 @@ def test_a_failure_loses_nothing_that_was_tracked(
     assert 'prefetch' not in {thread.name for thread in threading.enumerate()}
 
 
+@pytest.mark.slow
 def test_runs_without_a_folder_of_their_own_are_numbered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

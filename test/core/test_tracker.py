@@ -68,8 +68,17 @@ def tracked(
     threads: int | None = None,
     T_world_first: NDArray | None = None,
 ) -> list[TrackResult]:
+    if threads is None and T_world_first is None:
+        return list(_tracked_as_usual(address, ablation))
     tracker = tracker_for(source_of(address), ablation, threads, T_world_first)
     return [tracker.track(frame) for frame in frames_of(address)]
+
+
+@cache
+def _tracked_as_usual(address: str, ablation: Ablation) -> tuple[TrackResult, ...]:
+    """Tracked once: many tests look at the same run."""
+    tracker = tracker_for(source_of(address), ablation)
+    return tuple(tracker.track(frame) for frame in frames_of(address))
 
 
 def poses(results: list[TrackResult]) -> NDArray[np.float64]:

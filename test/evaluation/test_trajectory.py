@@ -250,6 +250,7 @@ def test_what_cannot_be_compared_is_told_with_numbers() -> None:
         relative_pose_error(short, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('with_truth', [True, False])
 def test_the_picture_is_a_png_and_leaves_pyplot_alone(tmp_path: Path, with_truth: bool) -> None:
     rng = np.random.default_rng(9)

@@ -244,6 +244,7 @@ ACTIONS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(ACTIONS, st.sampled_from([0.0, 0.1, 30.0]), st.floats(0.01, 30.0))
 def test_who_comes_at_any_time_has_the_map_as_it_is(

@@ -365,6 +365,7 @@ EVENTS = st.lists(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(EVENTS)
 def test_whatever_comes_it_goes_on(events: list[str]) -> None:

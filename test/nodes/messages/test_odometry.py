@@ -126,6 +126,7 @@ def test_the_twist_leads_the_base_to_where_the_cameras_leads_it(seed: int, time_
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(SEEDS)
 def test_the_covariance_of_the_twist_is_that_of_its_errors(seed: int) -> None:

@@ -13,12 +13,12 @@ import pytest
 pytest.importorskip('rclpy')
 
 from camera import Camera, every_shot  # type: ignore[import-not-found]
-from robot import LOADED_S, Robot  # type: ignore[import-not-found]
+from robot import Robot  # type: ignore[import-not-found]
 
 from dcgs_ros.evaluation.trajectory import absolute_trajectory_error
 from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.nodes.ids import split_ids
-from dcgs_ros.nodes.session import Observer, wait_until
+from dcgs_ros.nodes.session import Observer
 
 pytestmark = pytest.mark.slow
 
@@ -48,7 +48,7 @@ def connected(robot: Robot) -> Camera:
 
 
 def test_every_pair_is_tracked_and_the_map_arrives_whole(robot: Robot) -> None:
-    tracker, mapper = robot.tracker(), robot.mapper(mapping__final_steps=100)
+    tracker, mapper = robot.tracker(), robot.mapper(mapping__final_steps=30)
     robot.wait_ready('tracker', 'mapper')
     camera = connected(robot)
     camera.play(every_shot(robot.source))
@@ -59,11 +59,11 @@ def test_every_pair_is_tracked_and_the_map_arrives_whole(robot: Robot) -> None:
     # A third process that has come late has the mapper's map, once the mapper rests.
     late = Observer(robot.processes.domain, with_map=True)
     try:
-        wait_until(lambda: nothing_missing(robot.observer), LOADED_S, 'all')
-        wait_until(lambda: at_rest(robot.observer), LOADED_S, 'the mapper rests')
+        robot.wait(lambda: nothing_missing(robot.observer), 'all')
+        robot.wait(lambda: at_rest(robot.observer), 'the mapper rests')
         folder = robot.saved()
         saved = read_map(folder / 'map.dcgs')
-        wait_until(lambda: same_ids(late, saved.ids), LOADED_S, 'the late one has the map')
+        robot.wait(lambda: same_ids(late, saved.ids), 'the late one has the map')
         rows = late.mirror.rows
         assert rows is not None and len(rows) > 10_000
         order = np.argsort(saved.ids)
@@ -73,7 +73,7 @@ def test_every_pair_is_tracked_and_the_map_arrives_whole(robot: Robot) -> None:
             scales = np.exp(saved.splats.log_scales[k, order])
             np.testing.assert_array_equal(rows[f'scale_{k}'], scales)
         np.testing.assert_array_equal(rows['keyframe'], saved.hosts[order])
-        wait_until(lambda: same_map(robot.observer, late), LOADED_S, 'so has who was there first')
+        robot.wait(lambda: same_map(robot.observer, late), 'so has who was there first')
     finally:
         late.close()
     assert robot.processes.stop(tracker, signal.SIGINT) == 0
@@ -115,11 +115,10 @@ def test_a_mapper_that_dies_is_given_everything_again_and_tracking_misses_nothin
     camera.settle()
     assert len(robot.observer.poses) == len(robot.source)
     robot.wait_ready('mapper')
-    wait_until(
-        lambda: len(robot.observer.keyframes) > 0
-        and nothing_missing(robot.observer),
-        LOADED_S, 'everything given again',
-    )  # fmt: skip
+    robot.wait(
+        lambda: len(robot.observer.keyframes) > 0 and nothing_missing(robot.observer),
+        'everything given again',
+    )
     saved = read_map(robot.saved() / 'map.dcgs')
     measured = split_ids(saved.ids)[1][saved.ids >= 0]
     tracked = robot.observer.value('dcgs_tracker', 'gaussians')
@@ -133,7 +132,7 @@ def test_a_tracker_that_dies_goes_on_in_the_same_map(robot: Robot) -> None:
     robot.wait_ready('tracker', 'mapper')
     camera = connected(robot)
     camera.play(islice(every_shot(robot.source), 120))
-    wait_until(lambda: robot.observer.mirror.rows is not None, LOADED_S, 'a map')
+    robot.wait(lambda: robot.observer.mirror.rows is not None, 'a map')
     rows = robot.observer.mirror.rows
     assert rows is not None
     epochs = split_ids(rows['id'].astype(np.int64))[0]
@@ -165,12 +164,9 @@ def test_resets_are_answered(robot: Robot) -> None:
     assert robot.observer.call('/dcgs_tracker/reset').success
     keyframes = robot.observer.value('dcgs_tracker', 'keyframes')
     robot.wait_frames(80)
-    wait_until(
-        lambda: robot.observer.value('dcgs_tracker', 'keyframes') != keyframes,
-        LOADED_S, 'a new map',
-    )  # fmt: skip
+    robot.wait(lambda: robot.observer.value('dcgs_tracker', 'keyframes') != keyframes, 'a new map')
     assert robot.observer.call('/dcgs_mapper/reset').success
-    wait_until(lambda: robot.observer.value('dcgs_mapper', 'keyframes') > 0, LOADED_S, 'again')
+    robot.wait(lambda: robot.observer.value('dcgs_mapper', 'keyframes') > 0, 'again')
     assert robot.processes.stop(replay) == 0
 
 

@@ -341,7 +341,7 @@ def test_broken_keyframes_do_not_stop_the_mapper(robot: Robot) -> None:
     observer = robot.observer
     taken = shots(robot.source, 90)
     camera.play(taken[:45])
-    wait_until(lambda: observer.value('dcgs_mapper', 'keyframes') > 0, SOON_S, 'keyframes')
+    robot.wait(lambda: observer.value('dcgs_mapper', 'keyframes') > 0, 'keyframes')
     before_mb, lines = rss_mb(mapper), len(log(robot, 'mapper').splitlines())
     start_s = time.monotonic()
     fuzz_keyframes(robot, FUZZED_KEYFRAMES)
@@ -349,9 +349,7 @@ def test_broken_keyframes_do_not_stop_the_mapper(robot: Robot) -> None:
     passed_s = time.monotonic() - start_s
     assert len(log(robot, 'mapper').splitlines()) - lines < LINES + passed_s / THROTTLE_S
     camera.play(taken[45:])
-    wait_until(
-        lambda: observer.value('dcgs_tracker', 'keyframes_missing') == 0, SOON_S, 'given again'
-    )
+    robot.wait(lambda: observer.value('dcgs_tracker', 'keyframes_missing') == 0, 'given again')
     assert rss_mb(mapper) - before_mb < MAPPER_GROWTH_MB
     assert mapper.poll() is None and tracker.poll() is None
 

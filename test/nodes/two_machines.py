@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from dcgs_ros.evaluation.trajectory import absolute_trajectory_error
 from dcgs_ros.io.ros_images import stamp_ns
 from dcgs_ros.nodes.map_messages import read_stamps
-from dcgs_ros.nodes.session import Observer, Processes, wait_until
+from dcgs_ros.nodes.session import Observer, Processes
 from dcgs_ros.nodes.transport import RELIABLE
 
 PROFILE = Path(__file__).resolve().parents[2] / 'config' / 'fastdds_network.xml'
@@ -47,7 +47,7 @@ def play(logs: Path, rate: float | None, source: str) -> dict[str, Any]:
                 _play_in_step(robot)
             else:
                 robot.replay(rate=rate).wait(HANGS_S)
-            wait_until(lambda: _arrived(observer, offered), HANGS_S, 'every keyframe')
+            robot.wait(lambda: _arrived(observer, offered), 'every keyframe')
             return {
                 'pairs': len(robot.source),
                 'tracked': len(observer.poses),

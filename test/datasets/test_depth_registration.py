@@ -23,7 +23,7 @@ CURVED = PinholeCamera(160, 120, 150.0, 152.0, 79.0, 61.0, LENS)
 COARSE = PinholeCamera(48, 40, 35.0, 36.0, 23.0, 19.0)
 FINE = PinholeCamera(320, 240, 240.0, 240.0, 159.5, 119.5)
 POSE = se3.exp(np.array([0.05, -0.01, 0.02, 0.03, -0.02, 0.04]))
-LONGER = 20.0  # than ordinary depth; each pixel of it fills more than a thousand
+LONGER = 20.0  # than ordinary depth
 
 
 def plane_depth(camera: PinholeCamera, normal: np.ndarray, offset_m: float) -> np.ndarray:

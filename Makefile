@@ -7,6 +7,7 @@
 #   make quick     those that take no time, on all cores: under a minute
 #   make lint      ruff and mypy
 #   make bench     the speed tables
+#   make realtime  whether the nodes keep up with a camera, on a machine that does nothing else
 #
 # Needs Python 3.10 or newer (PYTHON=python3.12 chooses one); the rest goes into .venv, once, and
 # again when setup.py or constraints.txt change.
@@ -20,7 +21,7 @@ PIP := $(VENV_PYTHON) -m pip install --quiet --disable-pip-version-check \
 	--constraint $(VENV)/constraints.txt
 CHECKED := dcgs_ros test $(wildcard benchmarks)
 
-.PHONY: demo demo-ros test quick lint bench
+.PHONY: demo demo-ros test quick lint bench realtime
 .DEFAULT_GOAL := demo
 
 # With a sourced ROS 2 the environment sees the system's packages, and constraints.txt does not
@@ -57,11 +58,13 @@ demo: $(INSTALLED)
 demo-ros: $(INSTALLED)
 	$(VENV_PYTHON) -m dcgs_ros.nodes.demo
 
+# The slow ones one by one: nodes are processes, and want all cores.
 test: $(TOOLED)
-	$(VENV_PYTHON) -m pytest
+	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto --dist loadfile
+	$(VENV_PYTHON) -m pytest -m slow
 
 quick: $(TOOLED)
-	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto
+	$(VENV_PYTHON) -m pytest -m 'not slow' -n auto --dist loadfile --hypothesis-profile=quick
 
 lint: $(TOOLED)
 	$(VENV_PYTHON) -m ruff check .
@@ -71,3 +74,6 @@ lint: $(TOOLED)
 bench: $(TOOLED)
 	$(VENV_PYTHON) -m benchmarks.tracking
 	$(VENV_PYTHON) -m benchmarks.rendering
+
+realtime: $(TOOLED)
+	$(VENV_PYTHON) -m benchmarks.realtime

@@ -11,6 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import settings
+
+# No example is too slow for a machine. `make quick` draws fewer of them.
+settings.register_profile('thorough', deadline=None)
+settings.register_profile('quick', deadline=None, max_examples=20)
+settings.load_profile('thorough')
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -44,7 +50,12 @@ def tum_folder(tmp_path: Path) -> Callable[..., Path]:
     its depth (1 + k / 10) metres at 5000 per metre; the camera stands still.
     """
 
-    def write(name: str = 'fr3_small', frames: int = 4, size: tuple[int, int] = (64, 48)) -> Path:
+    def write(
+        name: str = 'fr3_small',
+        frames: int = 4,
+        size: tuple[int, int] = (64, 48),
+        interval_s: float = 0.03,
+    ) -> Path:
         folder = tmp_path / name
         (folder / 'rgb').mkdir(parents=True)
         (folder / 'depth').mkdir()
@@ -54,10 +65,10 @@ def tum_folder(tmp_path: Path) -> Callable[..., Path]:
             color[:] = (200, 100, 10 * k)  # BGR, as OpenCV writes
             depth = np.full((size[1], size[0]), 5000 + 500 * k, np.uint16)
             for kind, image, milliseconds in (('rgb', color, 0), ('depth', depth, 5)):
-                stamp = f'100.{30 * k + milliseconds:03d}000'
+                stamp = f'{100 + interval_s * k + 1e-3 * milliseconds:.6f}'
                 write_image(folder / kind / f'{k}.png', image)
                 lines[kind].append(f'{stamp} {kind}/{k}.png')
-            lines['groundtruth'].append(f'100.{30 * k:03d} 0 0 0 0 0 0 1')
+            lines['groundtruth'].append(f'{100 + interval_s * k:.3f} 0 0 0 0 0 0 1')
         for kind, content in lines.items():
             (folder / f'{kind}.txt').write_text('\n'.join(content) + '\n')
         return folder

@@ -37,6 +37,7 @@ def test_a_dataset_is_described(tum_folder: Writer, capsys: pytest.CaptureFixtur
     assert any(label.startswith('frame 3 of 5') for label in lines)
 
 
+@pytest.mark.slow
 def test_a_synthetic_sequence_and_one_without_anything_usable(
     tum_folder: Writer, capsys: pytest.CaptureFixture[str]
 ) -> None:

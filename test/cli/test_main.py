@@ -203,6 +203,7 @@ def loaded_after(code: str) -> set[str]:
     return set(done.stdout.split())
 
 
+@pytest.mark.slow
 def test_help_imports_nothing_heavy_and_a_run_no_matplotlib() -> None:
     light = loaded_after('import dcgs_ros.cli.main')
     assert not light & {'numpy', 'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
@@ -211,6 +212,7 @@ def test_help_imports_nothing_heavy_and_a_run_no_matplotlib() -> None:
     assert not running & {'matplotlib', 'torch'}
 
 
+@pytest.mark.slow
 def test_the_module_is_the_command() -> None:
     command = [sys.executable, '-m', 'dcgs_ros.cli', 'evaluate', 'a', 'b']
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

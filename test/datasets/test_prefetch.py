@@ -12,7 +12,7 @@ import pytest
 
 from dcgs_ros.datasets.prefetch import prefetch
 
-TIMEOUT_S = 5.0
+TIMEOUT_S = 120.0  # only a failure takes so long
 
 
 class Counter:

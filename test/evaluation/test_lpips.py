@@ -97,6 +97,7 @@ def test_it_is_what_torch_computes(tmp_path: Path, size: tuple[int, int]) -> Non
     assert ours == pytest.approx(torch_lpips(tree, image, truth), abs=AGAINST_TORCH)
 
 
+@pytest.mark.slow
 def test_it_is_what_torch_computes_from_the_published_weights(lpips: Lpips) -> None:
     path = find_weights()
     assert path is not None
@@ -124,6 +125,7 @@ def test_equal_images_are_at_distance_zero(lpips: Lpips) -> None:
     assert lpips(picture(0), picture(0)) == 0.0
 
 
+@pytest.mark.slow
 def test_distance_is_symmetric_and_grows_with_noise_and_with_blur(lpips: Lpips) -> None:
     truth = picture(0)
     noise = np.random.default_rng(1).normal(size=truth.shape).astype(np.float32)

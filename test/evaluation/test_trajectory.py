@@ -251,6 +251,7 @@ def test_errors_say_what_cannot_be_compared_with_numbers() -> None:
         relative_pose_error(short, truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('with_truth', [True, False])
 def test_the_plot_is_a_png_with_and_without_truth(tmp_path: Path, with_truth: bool) -> None:
     rng = np.random.default_rng(9)

@@ -7,9 +7,7 @@ from __future__ import annotations
 import contextlib
 import os
 import resource
-import statistics
 import struct
-import time
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +22,6 @@ from numpy.typing import NDArray
 from dcgs_ros.core.mapping.splats import PLANES, Splats
 from dcgs_ros.io.ply import PlyError, read_ply, write_ply
 
-LOAD_LIMIT_S = 2.0  # for a million Gaussians
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)  # denormals and -0 too
 SCALARS = {
@@ -298,15 +295,3 @@ def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> N
             except PlyError:
                 refused += 1
     assert 200 < refused < 400
-
-
-@pytest.mark.slow
-def test_a_million_gaussians_load_in_less_than_two_seconds(tmp_path: Path) -> None:
-    path = tmp_path / 'a.ply'
-    write_ply(path, random_splats(1_000_000, seed=9))
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        read_ply(path)
-        seconds.append(time.perf_counter() - start)
-    assert statistics.median(seconds) < LOAD_LIMIT_S

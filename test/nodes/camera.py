@@ -1,35 +1,36 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A camera in the test's own process, that may misbehave."""
+"""A camera in the test's own process, that may misbehave and never is too fast."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
 import cv2
 import numpy as np
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.source import BadFrame, Source
-from dcgs_ros.nodes.harness.observer import wait_until
+from dcgs_ros.nodes.harness.observer import Observer
 from dcgs_ros.nodes.messages.images import header, write_camera, write_color, write_depth
 from dcgs_ros.nodes.transport import sensor_qos
 
-PERIOD_S = 1 / 30
 FRAME_ID = 'camera_color_optical_frame'
 _TOPICS: dict[str, tuple[type, str]] = {
     'camera_info': (CameraInfo, 'color/camera_info'),
     'color': (Image, 'color/image_raw'),
     'depth': (Image, 'aligned_depth_to_color/image_raw'),
 }
-_FOUND_S, _KNOWN_S = 60.0, 0.5
+AHEAD = 3  # pairs on their way to a tracker, which keeps four
+HANGS_S = 300.0  # only a failure takes so long
+_POLL_S = 0.001
+_INFO_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -41,31 +42,114 @@ class Shot:
 
 
 class Camera:
-    def __init__(self, node: Node) -> None:
+    """Sends a frame when the tracker has room for it: nothing depends on anybody's speed.
+
+    There is room while fewer than `AHEAD` pairs lack a pose. Where no pose comes, as of a camera
+    that is lost, the tracker's reports tell when it is through with what it has.
+    """
+
+    def __init__(self, observer: Observer) -> None:
         qos = sensor_qos('reliable')
         self.publishers = {
-            name: node.create_publisher(kind, f'/camera/camera/{topic}', qos)
+            name: observer.node.create_publisher(kind, f'/camera/camera/{topic}', qos)
             for name, (kind, topic) in _TOPICS.items()
         }
+        self._observer = observer
+        self._begin()
 
-    def connect(self) -> None:
-        """Wait until the tracker listens, and knows that it does."""
+    def _begin(self) -> None:
+        self._sent = dict.fromkeys(_TOPICS, 0)
+        self._came = self._observer.came
+        self._given_up = 0  # pairs of which no pose will come
+
+    def connect(self, camera: PinholeCamera) -> None:
+        """Wait until a tracker that has just started listens, and knows the camera."""
+        self._begin()
         images = [self.publishers[name] for name in ('color', 'depth')]
-        wait_until(
-            lambda: all(p.get_subscription_count() for p in images), _FOUND_S, 'a subscriber'
-        )
-        time.sleep(_KNOWN_S)
+        self._until(lambda: all(p.get_subscription_count() for p in images), 'a subscriber')
+
+        def known() -> bool:
+            return self._observer.ready('dcgs_tracker') and 'camera_info' not in self._report[1]
+
+        while not known():
+            self.publishers['camera_info'].publish(write_camera(camera, header(1, FRAME_ID)))
+            time.sleep(_INFO_S)
 
     def send(self, shot: Shot, *names: str) -> None:
+        """Send a frame, or some of its messages, once there is room."""
+        self._until(self._has_room, 'room for a frame')
         for name in names or tuple(_TOPICS):
+            self._sent[name] += 1
             self.publishers[name].publish(shot.messages[name])
 
-    def play(self, shots: Sequence[Shot]) -> None:
-        """Send in real time, one a period."""
-        start_s = time.monotonic()
-        for k, shot in enumerate(shots):
-            time.sleep(max(0.0, start_s + k * PERIOD_S - time.monotonic()))
+    def play(self, shots: Iterable[Shot]) -> None:
+        for shot in shots:
             self.send(shot)
+
+    def settle(self) -> None:
+        """Wait until the tracker is through with all that was sent, and says so."""
+        self._until(self.caught_up, 'through with all')
+
+    def take_stock(self) -> None:
+        """Count anew from what the tracker has, where others have sent it images too."""
+        before = self.next_report()
+        while before != (now := self.next_report()):
+            before = now
+        self._sent['color'], self._sent['depth'] = now[:2]
+        self._given_up = self._unanswered()
+
+    def next_report(self) -> tuple[int, ...]:
+        """Wait for another report of the tracker; returns its figures."""
+        last = self._report
+        self._until(lambda: self._report is not last, 'a report')
+        return self._figures()
+
+    def caught_up(self) -> bool:
+        """The last report has all images and what became of them, and the poses are here."""
+        color, depth, pairs, tracked, unused = self._figures()
+        return (
+            (color, depth) == (self._sent['color'], self._sent['depth'])
+            and pairs == tracked + unused
+            and tracked == self._observer.came - self._came
+        )
+
+    def _has_room(self) -> bool:
+        if self._unanswered() - self._given_up >= AHEAD and self.caught_up():
+            self._given_up = self._unanswered()
+        return self._unanswered() - self._given_up < AHEAD
+
+    def _unanswered(self) -> int:
+        sent = min(self._sent['color'], self._sent['depth'])
+        return sent - (self._observer.came - self._came)
+
+    def _figures(self) -> tuple[int, ...]:
+        """Colour and depth images, pairs, tracked ones and others, as last reported."""
+        names = (
+            ('color',), ('depth',), ('pairs',), ('ok', 'degenerate'),
+            ('lost', 'refused', 'dropped'),
+        )  # fmt: skip
+        values = self._report[2]
+        return tuple(sum(int(values.get(key, 0)) for key in keys) for keys in names)
+
+    @property
+    def _report(self) -> tuple[int, str, dict[str, str]]:
+        return self._observer.status.get('dcgs_tracker', (0, '', {}))
+
+    def _until(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait as `wait_until` does, but look often."""
+        end = time.monotonic() + HANGS_S
+        while not condition():
+            if time.monotonic() > end:
+                raise TimeoutError(
+                    f'{what}: not within {HANGS_S:g} s; sent {self._sent}; colour, depth, pairs, '
+                    f'tracked, not tracked: {self._figures()}'
+                )
+            time.sleep(_POLL_S)
+
+
+def every_shot(source: Source) -> Iterator[Shot]:
+    """Make each when it is asked for."""
+    return (shot(f, source.camera) for f in source if not isinstance(f, BadFrame))
 
 
 def shots(source: Source, count: int) -> list[Shot]:

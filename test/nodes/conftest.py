@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import os
-import random
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,30 +15,38 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def environment(folder: Path) -> dict[str, str]:
+@contextmanager
+def environment(folder: Path) -> Iterator[dict[str, str]]:
     """Environment for processes that talk to each other and to nobody else."""
-    return {
-        **os.environ,
-        'PYTHONPATH': str(ROOT),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-        'ROS_DOMAIN_ID': str(random.randrange(101)),
-        'ROS_LOG_DIR': str(folder),
-        'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds.xml'),
-    }
+    pytest.importorskip('rclpy')
+    from dcgs_ros.nodes.harness.processes import claim_domain
+
+    claim, domain = claim_domain()
+    with claim:
+        yield {
+            **os.environ,
+            'PYTHONPATH': str(ROOT),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_DOMAIN_ID': str(domain),
+            'ROS_LOG_DIR': str(folder),
+            'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds.xml'),
+        }
 
 
 @pytest.fixture
-def ros_environment(tmp_path: Path) -> dict[str, str]:
+def ros_environment(tmp_path: Path) -> Iterator[dict[str, str]]:
     """Environment for a test's processes."""
-    return environment(tmp_path / 'ros')
+    with environment(tmp_path / 'ros') as variables:
+        yield variables
 
 
 @pytest.fixture(scope='module')
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """ROS in this process, for nodes that nobody else has to see."""
     rclpy = pytest.importorskip('rclpy')
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment(tmp_path_factory.mktemp('ros')).items():
+    folder = tmp_path_factory.mktemp('ros')
+    with pytest.MonkeyPatch.context() as patch, environment(folder) as variables:
+        for name, value in variables.items():
             patch.setenv(name, value)
         rclpy.init(args=[])
         yield

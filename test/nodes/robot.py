@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from subprocess import Popen
 
@@ -14,7 +16,7 @@ from dcgs_ros.datasets.source import Source
 from dcgs_ros.nodes.harness.observer import Observer, wait_until
 from dcgs_ros.nodes.harness.processes import Processes, sensor_parameters
 
-LOADED_S = 300.0
+PATIENCE_S = 600.0  # only a failure takes so long
 SENSOR = Path(__file__).resolve().parents[2] / 'config' / 'tum_fr3.yaml'
 SYNTHETIC = 'synthetic:room?frames=200'  # where there are no real sequences
 SYNTHETIC_RATE = 0.25  # making a frame takes 40 ms of a core
@@ -28,6 +30,7 @@ class Robot:
     logs: Path
     address: str  # of the sequence
     prefixes: dict[str, tuple[str, ...]]  # of a node's command, by its name
+    started: list[Popen[bytes]] = field(default_factory=list)
 
     @property
     def source(self) -> Source:
@@ -51,30 +54,55 @@ class Robot:
         if not self.is_real:
             chosen['rate'] = SYNTHETIC_RATE
         chosen |= parameters
-        return self.processes.start('replay', chosen, None, self.prefixes.get('replay', ()))
+        return self._started('replay', chosen, None)
 
     def _start(
         self, name: str, chosen: dict[str, object], parameters: dict[str, object]
     ) -> Popen[bytes]:
         chosen |= {key.replace('__', '.'): value for key, value in parameters.items()}
         if self.is_real:
-            return self.processes.start(name, chosen, SENSOR, self.prefixes.get(name, ()))
-        chosen |= sensor_parameters(self.source.sensor)
-        return self.processes.start(name, chosen, None, self.prefixes.get(name, ()))
+            return self._started(name, chosen, SENSOR)
+        return self._started(name, chosen | sensor_parameters(self.source.sensor), None)
+
+    def _started(self, name: str, chosen: dict[str, object], file: Path | None) -> Popen[bytes]:
+        node = self.processes.start(name, chosen, file, self.prefixes.get(name, ()))
+        self.started.append(node)
+        return node
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait until something has come true.
+
+        The threads that give way to all others get a share like theirs meanwhile, where we may:
+        beside a load that fills the cores the mapper would come to nothing.
+        """
+
+        def reached() -> bool:
+            for node in self.started:
+                _make_equal(node.pid)
+            return condition()
+
+        wait_until(reached, PATIENCE_S, what)
 
     def wait_ready(self, *nodes: str) -> None:
         def ready() -> bool:
             return all(self.observer.ready(f'dcgs_{node}') for node in nodes)
 
-        wait_until(ready, LOADED_S, f'{nodes} ready')
+        self.wait(ready, f'{nodes} ready')
 
     def wait_frames(self, count: int) -> None:
-        wait_until(lambda: len(self.observer.poses) >= count, LOADED_S, f'{count} poses')
+        self.wait(lambda: len(self.observer.poses) >= count, f'{count} poses')
 
     def saved(self) -> Path:
         response = self.observer.call('/dcgs_mapper/save_map')
         assert response.success, response.message
         return Path(response.message.rpartition(' in ')[2])
+
+
+def _make_equal(pid: int) -> None:
+    with suppress(OSError):  # of an end, or of not being allowed to
+        for task in Path(f'/proc/{pid}/task').iterdir():
+            if os.getpriority(os.PRIO_PROCESS, int(task.name)) > 0:
+                os.setpriority(os.PRIO_PROCESS, int(task.name), 0)
 
 
 def sequence() -> str:

@@ -15,7 +15,7 @@ pytest.importorskip('rclpy')
 
 pytestmark = pytest.mark.slow  # each test starts a process
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0  # only a failure takes so long
 PROGRAM = """
 import sys, threading, time
 import rclpy
@@ -23,6 +23,11 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.nodes.lifetime import Worker, run
+
+
+def wait_for_shutdown():
+    while rclpy.ok():
+        time.sleep(0.01)
 
 
 class Example(Node):
@@ -103,7 +108,7 @@ def test_a_shutdown_of_ros_ends_it_too(start: Start) -> None:
 
 
 def test_a_signal_while_the_node_is_made_is_no_error(start: Start) -> None:
-    process = start(opening="print('making', flush=True); time.sleep(0.5)")
+    process = start(opening="print('making', flush=True); wait_for_shutdown()")
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err) == (0, '', '')

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
@@ -19,10 +18,8 @@ import wire  # type: ignore[import-not-found]
 
 ROOT = Path(__file__).resolve().parents[2]
 LACKING = wire.why_not()
-TRACKED = 0.8  # the wire is a process too, and takes much of one of the cores
-MEDIAN_MS, P95_MS = 60.0, 150.0  # as on one machine, test_end_to_end.py
 KEYFRAME_BYTES = 640 * 480 * 5  # colour and depth
-ENDED_S = 900.0
+ENDED_S = 1200.0
 
 
 @pytest.mark.slow
@@ -36,10 +33,7 @@ def test_every_pair_is_tracked_and_every_keyframe_arrives(tmp_path: Path) -> Non
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     found = json.loads(ended.stdout)
-    assert found['replay_status'] == 0
-    assert found['tracked'] >= TRACKED * found['pairs']
-    median_ms, p95_ms = np.percentile(found['latencies_ms'], [50, 95])
-    assert median_ms < MEDIAN_MS and p95_ms < P95_MS
+    assert found['tracked'] == found['pairs']
     assert found['of_mapper'] >= found['keyframes'] > 0  # the mapper has views between them too
     # They came over the wire.
     assert found['received_bytes'] > found['keyframes'] * KEYFRAME_BYTES

@@ -34,7 +34,7 @@ TYPES = {
     bool: ParameterType.PARAMETER_BOOL,
     str: ParameterType.PARAMETER_STRING,
 }
-ANSWER_S = 10.0
+ANSWER_S = 120.0
 
 Declare = Callable[..., tuple[Node, Parameters[Any], list[Any]]]
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable
 from copy import deepcopy
 from itertools import islice
 from pathlib import Path
@@ -60,25 +59,24 @@ OPTICAL_WXYZ = np.array([0.5, -0.5, 0.5, -0.5])  # of the camera on the base, RE
 WRONG_M = 0.08  # a pose farther from the truth than this is wrong; drift over seconds is a third
 KNOWN_NS = 10_000_000  # how near a pose's stamp the truth is
 HAND_M_PER_S, NOISE_M = 1.5, 0.03  # how far apart two poses may be
-TRACKED = 0.9  # of what can be, while the machine does other things
-SOON_S = 20.0
+TRACKED = 0.9  # where the camera is looked for: it is found within a few frames
+SOON_S = 300.0  # only a failure takes so long
 GAP = 60  # frames
 DROPPED, SWAPPED = 0.2, 0.3
-FUZZED, FUZZED_KEYFRAMES = 10_000, 300
-PAUSE_S = 0.002  # between broken messages
-RECEIVED = 0.8  # of them: a subscriber keeps five
+FUZZED, FUZZED_KEYFRAMES = 6_000, 300  # images, which makes ten thousand messages
+PAUSE_S = 0.001  # between broken messages
 GROWTH_MB = 60.0
 MAPPER_GROWTH_MB = 400.0  # of which a map of some keyframes has half
-LINES = 20  # of the log: one in five seconds is meant
+LINES, THROTTLE_S = 16, 5.0  # of the log: one in five seconds is meant, and a few
 CLAIMED_BYTES = 2**31 - 1
 
 
 def begin(robot: Robot, *others: str) -> tuple[Popen[bytes], Camera]:
     """Start a tracker, and a camera that it listens to."""
     tracker = robot.tracker(node__resume=False)
-    camera = Camera(robot.observer.node)
+    camera = Camera(robot.observer)
     robot.wait_ready('tracker', *others)
-    camera.connect()
+    camera.connect(robot.source.camera)
     return tracker, camera
 
 
@@ -93,19 +91,6 @@ def texts(robot: Robot) -> list[str]:
 def verdict(robot: Robot) -> str:
     """Return what was said last while images came."""
     return next(text for text in reversed(texts(robot)) if 'no images' not in text)
-
-
-def settle(robot: Robot) -> None:
-    """Wait until poses no longer come, and two reports after them have."""
-    wait_until(lambda: not grows(lambda: len(robot.observer.poses), 0.5), SOON_S, 'rest')
-    reports = len(robot.observer.history)
-    wait_until(lambda: len(robot.observer.history) >= reports + 2, SOON_S, 'reports')
-
-
-def grows(count: Callable[[], int], within_s: float) -> bool:
-    before = count()
-    time.sleep(within_s)
-    return count() > before
 
 
 def cameras(robot: Robot) -> dict[int, NDArray[np.float64]]:
@@ -145,11 +130,10 @@ def test_after_a_gap_the_camera_is_found_where_it_was_or_said_to_be_lost(robot: 
     taken = shots(robot.source, 45 + GAP + 30)
     before, after = taken[:45], taken[45 + GAP :]
     camera.play(before)
-    time.sleep(3.5)  # of which two pass before it is said
-    assert any('no images for' in text for text in texts(robot))
+    wait_until(lambda: 'no images for' in texts(robot)[-1], SOON_S, 'silence is noticed')
     reports = len(texts(robot))
     camera.play(after)
-    settle(robot)
+    camera.settle()
     came = sum(s.stamp_ns in robot.observer.poses for s in after)
     assert came > TRACKED * len(after) or any(
         'move back to where it was tracked' in text for text in texts(robot)[reports:]
@@ -158,7 +142,7 @@ def test_after_a_gap_the_camera_is_found_where_it_was_or_said_to_be_lost(robot: 
     # The camera goes back.
     robot.observer.poses.clear()
     camera.play(before)
-    settle(robot)
+    camera.settle()
     assert len(robot.observer.poses) > TRACKED * len(before)
     assert tracker.poll() is None
 
@@ -174,8 +158,7 @@ def test_a_fifth_of_one_topic_may_be_lost(robot: Robot, topic: str) -> None:
             shot, *(n for n in ('camera_info', 'color', 'depth') if n != topic or not lost)
         )
         whole += not lost
-        time.sleep(1 / 30)
-    settle(robot)
+    camera.settle()
     assert TRACKED * whole < len(robot.observer.poses) <= whole
     other = 'depth' if topic == 'color' else 'color'
     unpaired = robot.observer.value('dcgs_tracker', f'unpaired_{other}')
@@ -190,7 +173,7 @@ def test_stamps_out_of_order_do_no_harm(robot: Robot) -> None:
         if rng.random() < SWAPPED:
             taken[k], taken[k + 1] = taken[k + 1], taken[k]
     camera.play(taken)
-    settle(robot)
+    camera.settle()
     assert tracker.poll() is None
     assert robot.observer.value('dcgs_tracker', 'disorder') > 0
     assert len(robot.observer.poses) > (1 - SWAPPED) * TRACKED * len(taken)
@@ -201,11 +184,11 @@ def test_when_the_clock_jumps_back_the_camera_is_found_in_the_map(robot: Robot) 
     _, camera = begin(robot)
     taken = shots(robot.source, 60)
     camera.play(taken)
-    settle(robot)
+    camera.settle()
     first = dict(robot.observer.poses)
     robot.observer.poses.clear()
     camera.play(taken)
-    settle(robot)
+    camera.settle()
     assert 'stamps went back' in log(robot)
     common = sorted(first.keys() & robot.observer.poses.keys())
     assert len(common) > TRACKED * len(taken)
@@ -221,7 +204,7 @@ def test_another_resolution_begins_a_map_at_the_last_pose(robot: Robot) -> None:
     taken = shots(source, 120)
     taken[40:80] = [halved(frame, source.camera) for frame in frames[40:80]]
     camera.play(taken)
-    settle(robot)
+    camera.settle()
     assert tracker.poll() is None
     assert log(robot).count('the camera changed from') >= 1  # what repeats soon is not said again
     assert len(robot.observer.poses) > TRACKED * len(taken)
@@ -231,17 +214,17 @@ def test_another_resolution_begins_a_map_at_the_last_pose(robot: Robot) -> None:
 
 def test_depth_of_another_frame_is_refused_with_the_reason(robot: Robot) -> None:
     tracker, camera = begin(robot)
-    taken = shots(robot.source, 90)
-    for shot in taken[:30]:
+    taken = shots(robot.source, 72)
+    for shot in taken[:12]:
         shot.messages['depth'].header.frame_id = 'camera_depth_optical_frame'
-    camera.play(taken[:30])
-    settle(robot)
+    camera.play(taken[:12])
+    camera.settle()
     assert not robot.observer.poses
     assert any('could be used: see the log' in text for text in texts(robot))
     assert "depth in 'camera_depth_optical_frame': it is not registered" in log(robot)
-    camera.play(taken[30:])
-    settle(robot)
-    assert len(robot.observer.poses) > TRACKED * 60
+    camera.play(taken[12:])
+    camera.settle()
+    assert len(robot.observer.poses) == 60
     assert tracker.poll() is None
 
 
@@ -262,22 +245,22 @@ def placed(message: Any, at_ns: int, rng: random.Random) -> Any:
     return message
 
 
-def fuzz_camera(camera: Camera, count: int, first_ns: int) -> int:
-    """Send frames of which at least one message is broken; returns how many images those were."""
-    rng, images = random.Random(3), 0
+def fuzz_camera(robot: Robot, camera: Camera, count: int, first_ns: int) -> None:
+    """Send frames of which at least one message is broken, until `count` images have come."""
+    rng, before, k = random.Random(3), received(robot), 0
     good = {
         'color': (write_color(COLOR, header(1, '')), IMAGE_FAULTS),
         'depth': (write_depth_mm(DEPTH, header(1, '')), IMAGE_FAULTS),
         'camera_info': (write_camera(CAMERA, header(1, '')), INFO_FAULTS),
     }
-    for k in range(count):
+    while received(robot) < before + count:
         name = rng.choice(list(good))
         message, faults = good[name]
         message = broken(deepcopy(message), faults, rng)
         camera.publishers[name].publish(placed(message, first_ns + k // 3 * 33_000_000, rng))
-        images += name != 'camera_info'
         time.sleep(PAUSE_S)
-    return images
+        k += 1
+    camera.take_stock()
 
 
 def received(robot: Robot) -> float:
@@ -294,27 +277,25 @@ def cut_short(camera: Camera) -> None:
     claims = whole[:at] + CLAIMED_BYTES.to_bytes(4, 'little') + whole[at + 4 :][:99]
     for data in (claims, whole[: at + 99], whole[:20]):
         camera.publishers['color'].publish(data)
-        time.sleep(0.1)
+        camera.next_report()
 
 
 def test_ten_thousand_broken_messages_do_not_stop_the_tracker(robot: Robot) -> None:
     tracker, camera = begin(robot)
     taken = shots(robot.source, 90)
     camera.play(taken[:45])
-    settle(robot)
+    camera.settle()
     first_ns = taken[44].stamp_ns
-    fuzz_camera(camera, FUZZED // 10, first_ns)  # loads what is loaded once
-    settle(robot)
-    before_mb, lines, had = rss_mb(tracker), len(log(robot).splitlines()), received(robot)
-    images = fuzz_camera(camera, FUZZED, first_ns + 10**12)
-    settle(robot)
+    fuzz_camera(robot, camera, FUZZED // 10, first_ns)  # loads what is loaded once
+    before_mb, lines, start_s = rss_mb(tracker), len(log(robot).splitlines()), time.monotonic()
+    fuzz_camera(robot, camera, FUZZED, first_ns + 10**12)
     assert tracker.poll() is None
-    assert received(robot) - had > RECEIVED * images
     assert rss_mb(tracker) - before_mb < GROWTH_MB
-    assert len(log(robot).splitlines()) - lines < LINES
+    passed_s = time.monotonic() - start_s
+    assert len(log(robot).splitlines()) - lines < LINES + passed_s / THROTTLE_S
     robot.observer.poses.clear()
     camera.play(taken[45:])
-    settle(robot)
+    camera.settle()
     assert len(robot.observer.poses) > TRACKED * 45
     assert verdict(robot).startswith(('tracking', 'degenerate'))
 
@@ -323,12 +304,12 @@ def test_bytes_that_are_no_message_do_not_stop_the_tracker(robot: Robot) -> None
     tracker, camera = begin(robot)
     before_mb = rss_mb(tracker)
     cut_short(camera)
-    time.sleep(1.0)
+    camera.take_stock()
     assert tracker.poll() is None, log(robot)
     assert rss_mb(tracker) - before_mb < GROWTH_MB
     taken = shots(robot.source, 30)
     camera.play(taken)
-    settle(robot)
+    camera.settle()
     assert len(robot.observer.poses) > TRACKED * len(taken)
 
 
@@ -342,7 +323,6 @@ def fuzz_keyframes(robot: Robot, count: int) -> None:
     wait_until(
         lambda: all(p.get_subscription_count() for p in publishers.values()), SOON_S, 'a mapper'
     )
-    time.sleep(0.5)
     means = np.random.default_rng(4).normal(0, 1, (40, 3)).astype(np.float32)
     for k in range(count):
         frame = RgbdFrame(k + 1, k + 1, COLOR, DEPTH)
@@ -366,15 +346,15 @@ def test_broken_keyframes_do_not_stop_the_mapper(robot: Robot) -> None:
     observer = robot.observer
     taken = shots(robot.source, 90)
     camera.play(taken[:45])
-    wait_until(lambda: observer.value('dcgs_mapper', 'keyframes') > 0, SOON_S, 'keyframes')
+    robot.wait(lambda: observer.value('dcgs_mapper', 'keyframes') > 0, 'keyframes')
     before_mb, lines = rss_mb(mapper), len(log(robot, 'mapper').splitlines())
+    start_s = time.monotonic()
     fuzz_keyframes(robot, FUZZED_KEYFRAMES)
     assert mapper.poll() is None and tracker.poll() is None
-    assert len(log(robot, 'mapper').splitlines()) - lines < LINES
+    passed_s = time.monotonic() - start_s
+    assert len(log(robot, 'mapper').splitlines()) - lines < LINES + passed_s / THROTTLE_S
     camera.play(taken[45:])
-    wait_until(
-        lambda: observer.value('dcgs_tracker', 'keyframes_missing') == 0, SOON_S, 'given again'
-    )
+    robot.wait(lambda: observer.value('dcgs_tracker', 'keyframes_missing') == 0, 'given again')
     assert rss_mb(mapper) - before_mb < MAPPER_GROWTH_MB
     assert mapper.poll() is None and tracker.poll() is None
 
@@ -412,5 +392,5 @@ def test_parameters_of_live_nodes_change_or_say_why_not(robot: Robot) -> None:
         assert described.descriptors[0].floating_point_range
     taken = shots(robot.source, 30)
     camera.play(taken)
-    settle(robot)
+    camera.settle()
     assert len(robot.observer.poses) > TRACKED * len(taken)

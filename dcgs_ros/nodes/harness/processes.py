@@ -30,7 +30,7 @@ class Processes:
 
     def __init__(self, logs: Path, discovery: str = 'LOCALHOST') -> None:
         """Write a log file per node into `logs`; `discovery` SUBNET allows several hosts."""
-        self._claim, self.domain = _claim_domain()
+        self._claim, self.domain = claim_domain()
         self._logs = logs
         self._running: list[subprocess.Popen[bytes]] = []
         prepare()
@@ -89,7 +89,7 @@ def sensor_parameters(sensor: SensorNoise) -> dict[str, Any]:
     return {f'sensor.{key}': value for key, value in flatten(sensor).items()}
 
 
-def _claim_domain() -> tuple[socket.socket, int]:
+def claim_domain() -> tuple[socket.socket, int]:
     """Return a ROS domain that no other test or demo of this host uses, and a socket.
 
     The domain is claimed while the socket is open.

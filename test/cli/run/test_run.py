@@ -23,6 +23,7 @@ from dcgs_ros.cli import run
 from dcgs_ros.cli.main import main
 from dcgs_ros.cli.run.outputs import COLUMNS
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.frame import RgbdFrame
@@ -65,9 +66,10 @@ CONTRACT = {
     'machine': None,
     'version': None,
 }
+SETTINGS = {'threads': 1, 'cloud.stride_px': 4, 'keyframes.spawn_stride_px': 3}  # of small images
 ROOM_ATE_CM = 1.0
 PRINTED_M = 1e-9  # decimals of a trajectory file
-TIMEOUT_S = 120.0  # of a subprocess that may have to compile
+TIMEOUT_S = 600.0  # of a subprocess that may have to compile
 
 
 def track_into(folder: Path, *words: str) -> Run:
@@ -77,9 +79,10 @@ def track_into(folder: Path, *words: str) -> Run:
 
 
 @pytest.fixture(scope='module')
-def room(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def room(small_images: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Run once, with one thread."""
-    return track_into(tmp_path_factory.mktemp('runs') / 'room', ROOM, '--set', 'threads=1')
+    words = [f'{key}={value}' for key, value in SETTINGS.items()]
+    return track_into(tmp_path_factory.mktemp('runs') / 'room', ROOM, '--set', *words)
 
 
 @pytest.mark.slow
@@ -113,7 +116,8 @@ def test_the_report_holds_the_contract(room: Run) -> None:
 
 @pytest.mark.slow
 def test_two_runs_with_one_and_two_threads_write_the_same_bytes(room: Run, tmp_path: Path) -> None:
-    again = track_into(tmp_path / 'again', ROOM, '--set', 'threads=2')
+    words = [f'{key}={value}' for key, value in (SETTINGS | {'threads': 2}).items()]
+    again = track_into(tmp_path / 'again', ROOM, '--set', *words)
     for name in ('trajectory.tum', 'keyframes.tum'):
         assert (again.folder / name).read_bytes() == (room.folder / name).read_bytes()
 
@@ -134,7 +138,7 @@ def test_every_frame_has_a_line_and_a_pose(room: Run) -> None:
 
 
 def test_the_configuration_as_used_reads_back(room: Run) -> None:
-    used = Config(sensor=open_source(ROOM).sensor, threads=1)
+    used = override(Config(sensor=open_source(ROOM).sensor), SETTINGS)
     assert apply_file(Config(), room.folder / 'config.yaml') == used
 
 
@@ -171,7 +175,8 @@ def test_evaluate_finds_what_the_report_says(
 
 @pytest.mark.slow
 def test_max_frames_ends_a_run_early(room: Run, tmp_path: Path) -> None:
-    short = track_into(tmp_path / 'short', ROOM, '--max-frames', '5')
+    words = [f'{key}={value}' for key, value in SETTINGS.items()]
+    short = track_into(tmp_path / 'short', ROOM, '--max-frames', '5', '--set', *words)
     assert short.status == 0
     whole = (room.folder / 'trajectory.tum').read_text().splitlines()
     assert (short.folder / 'trajectory.tum').read_text().splitlines() == whole[:6]
@@ -199,6 +204,7 @@ def test_settings_are_layered(tmp_path: Path) -> None:
     assert done.report()['ablation'] == 'sigma_t'
 
 
+@pytest.mark.slow
 def test_the_truth_never_reaches_the_tracker(tum_folder: Writer, tmp_path: Path) -> None:
     folder = tum_folder(frames=6)
     with_truth = track_into(tmp_path / 'with', str(folder), '--camera', SMALL)
@@ -349,6 +355,7 @@ def test_a_failure_loses_nothing_that_was_tracked(
     assert 'prefetch' not in {thread.name for thread in threading.enumerate()}
 
 
+@pytest.mark.slow
 def test_runs_without_a_folder_of_their_own_are_numbered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core.kernels.workers import PIECES, Workers
 
-PATIENCE_S = 10.0  # far more than any wait here takes
+PATIENCE_S = 120.0  # far more than any wait here takes
 SLOW_S = 0.05
 
 

@@ -175,6 +175,7 @@ def test_coarse_and_fine_steps_learn_too() -> None:
     assert mean_psnr(mapper) > before_db + RISE_DB
 
 
+@pytest.mark.slow
 def test_through_a_lens_the_map_is_the_same_world() -> None:
     """Rendered without distortion, where the lens has seen anything."""
     mapper = mapper_for(DISTORTED)
@@ -224,6 +225,7 @@ def test_the_first_view_stays_and_good_ones_hardly_move(run: Run) -> None:
         assert displacement_px(view.T_world_cam, view.T_tracked) < 0.6
 
 
+@pytest.mark.slow
 def test_exposures_are_found_up_to_one_that_all_have_in_common() -> None:
     gains, offsets = np.array([1.0, 1.12, 0.9, 1.05]), np.array([0.0, -0.03, 0.02, 0.0])
     look = [{'gain': g, 'offset': o} for g, o in zip(gains, offsets, strict=True)]
@@ -424,6 +426,7 @@ def test_images_beyond_the_budget_are_compressed_oldest_first() -> None:
         assert np.isfinite(mapper.step(replay=True))
 
 
+@pytest.mark.slow
 def test_where_compressing_is_not_enough_views_give_up_their_images() -> None:
     """Every second of the old ones; the first one, which holds the map, never does."""
     camera = PinholeCamera(160, 120, 140.0, 144.0, 76.0, 62.0)

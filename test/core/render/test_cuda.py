@@ -153,6 +153,7 @@ def test_a_gsplat_that_was_not_compiled_is_found_out_at_once(
         CudaRenderer('cpu')
 
 
+@pytest.mark.slow
 def test_neither_torch_nor_gsplat_is_loaded_before_a_renderer_is_made() -> None:
     done = subprocess.run(
         [sys.executable, '-c', IMPORT], capture_output=True, text=True, check=True

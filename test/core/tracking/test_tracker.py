@@ -61,7 +61,7 @@ def tracker_for(
     source: Source,
     ablation: Ablation = 'full',
     threads: int | None = None,
-    T_world_first: NDArray | None = None,
+    T_world_first: NDArray[np.float64] | None = None,
 ) -> Tracker:
     config = replace(Config(), sensor=source.sensor, ablation=ablation, threads=threads)
     return Tracker(source.camera, config, T_world_first)
@@ -71,17 +71,26 @@ def tracked(
     address: str,
     ablation: Ablation = 'full',
     threads: int | None = None,
-    T_world_first: NDArray | None = None,
+    T_world_first: NDArray[np.float64] | None = None,
 ) -> list[TrackResult]:
+    if threads is None and T_world_first is None:
+        return list(_tracked_as_usual(address, ablation))
     tracker = tracker_for(source_of(address), ablation, threads, T_world_first)
     return [tracker.track(frame) for frame in frames_of(address)]
+
+
+@cache
+def _tracked_as_usual(address: str, ablation: Ablation) -> tuple[TrackResult, ...]:
+    """Tracked once: many tests look at the same run."""
+    tracker = tracker_for(source_of(address), ablation)
+    return tuple(tracker.track(frame) for frame in frames_of(address))
 
 
 def poses(results: list[TrackResult]) -> NDArray[np.float64]:
     return np.stack([result.T_world_cam for result in results])
 
 
-def distance(T: NDArray, other: NDArray) -> tuple[float, float]:
+def distance(T: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:
     """Metres and radians between two poses."""
     xi = se3.log(se3.inverse(T) @ other)
     return float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))

@@ -246,6 +246,7 @@ def test_memory_does_not_grow_with_the_recording(bag: Bag, apart: bool) -> None:
     assert peak(long) - peak(short) < FLAT_FRAMES * (color_of(0).nbytes + depth_of(0).nbytes)
 
 
+@pytest.mark.slow
 def test_without_rosbags_it_is_said_what_to_install(bag: Bag) -> None:
     code = (
         'import sys; sys.modules["rosbags"] = None\n'

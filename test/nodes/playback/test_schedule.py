@@ -6,24 +6,54 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from itertools import islice
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dcgs_ros.datasets.source import SourceError
+from dcgs_ros.nodes.playback import schedule as module
 from dcgs_ros.nodes.playback.schedule import Pacer, ScheduledItem, schedule
 
 FIRST_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000
 GAP_NS = 33_333_333
-LATE_S = 0.02  # a loaded machine's thread wakes up late, never early
-EARLY_S = 1e-4
+LATE_S = 0.02  # a thread wakes up late, never early
+ROUNDING_S = 1e-6
+TICK_S = 0.025
 STEPS = st.lists(st.integers(-10_000_000, SECOND_NS), min_size=1, max_size=30)
 
 Items = list[tuple[int, int]]
+
+
+class Clock:
+    """Time that passes only while somebody waits, always a little longer than he wanted."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def wait(self, timeout_s: float) -> bool:
+        self.now_s += timeout_s + LATE_S
+        return False
+
+    def pace(self, rate: float, tick: Callable[[int], None]) -> Pacer:
+        stop = SimpleNamespace(wait=self.wait, is_set=lambda: False)
+        return Pacer(rate, tick, cast(threading.Event, stop))
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(module, 'time', clock)
+    return clock
 
 
 def items_every(interval_ns: int, count: int) -> Items:
@@ -88,29 +118,30 @@ def test_an_empty_recording_is_told_even_in_a_loop() -> None:
 
 
 @pytest.mark.parametrize('rate', [1.0, 4.0])
-def test_nothing_is_early_and_lateness_does_not_add_up(rate: float) -> None:
-    pace = Pacer(rate, lambda _: None, threading.Event())
-    cues = list(schedule(lambda: items_every(GAP_NS, 12)))
-    start = time.monotonic()
-    for cue in cues:
+def test_nothing_is_early_and_lateness_does_not_add_up(rate: float, clock: Clock) -> None:
+    pace, start = clock.pace(rate, lambda _: None), clock.now_s
+    for cue in schedule(lambda: items_every(GAP_NS, 12)):
         assert pace.wait(cue)
-        late_s = time.monotonic() - start - 1e-9 * cue.elapsed_ns / rate
-        assert -EARLY_S < late_s < LATE_S
+        late_s = clock.now_s - start - 1e-9 * cue.elapsed_ns / rate
+        assert -ROUNDING_S < late_s < LATE_S + ROUNDING_S
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.lists(st.integers(0, 80_000_000), min_size=1, max_size=8), st.sampled_from([0, 2, 50]))
-def test_the_clock_goes_on_between_items_and_never_back(steps: list[int], rate: float) -> None:
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.integers(0, SECOND_NS), min_size=1, max_size=8), st.sampled_from([0, 2, 50]))
+def test_the_clock_goes_on_between_items_and_never_back(
+    clock: Clock, steps: list[int], rate: float
+) -> None:
     ticks: list[int] = []
-    pace = Pacer(rate, ticks.append, threading.Event())
+    pace = clock.pace(rate, ticks.append)
     stamps = (FIRST_NS + np.cumsum(steps)).tolist()
     for cue in schedule(lambda: zip(stamps, stamps, strict=True)):
         assert pace.wait(cue)
         assert ticks[-1] == cue.item
     assert ticks[0] == stamps[0]
     assert (np.diff(ticks) >= 0).all()
-    if rate == 2:
-        assert np.diff([stamps[0], *ticks]).max() <= 1e9 * rate * (0.025 + LATE_S)
+    if rate:
+        most_ns = 1e9 * rate * (TICK_S + LATE_S + ROUNDING_S)
+        assert np.diff([stamps[0], *ticks]).max() <= most_ns
 
 
 def test_a_wait_ends_when_stopped() -> None:
@@ -121,5 +152,5 @@ def test_a_wait_ends_when_stopped() -> None:
     timer.start()
     start = time.monotonic()
     assert not pace.wait(ScheduledItem(60 * SECOND_NS, 60 * SECOND_NS, 0, None))
-    assert time.monotonic() - start < 5
+    assert time.monotonic() - start < 50
     timer.join()

@@ -25,7 +25,7 @@ COARSE = PinholeCamera(48, 40, 35.0, 36.0, 23.0, 19.0)
 FINE = PinholeCamera(320, 240, 240.0, 240.0, 159.5, 119.5)
 POSE = se3.exp(np.array([0.05, -0.01, 0.02, 0.03, -0.02, 0.04]))
 BUDGET_S = 0.015
-SLACK = 4.0  # of a machine that is shared
+SLACK = 4.0  # for slower machines; CPU time is measured, as others may use the machine
 
 
 def plane_depth(
@@ -160,9 +160,9 @@ def test_hostile_depth_takes_no_longer_than_it_may(value: float) -> None:
     T[2, 3] = -0.35  # the colour camera is almost where the depth is
     depth = np.full((480, 848), value, np.float32)
     register_depth(depth[:40, :40].copy(), PinholeCamera(40, 40, 1, 1, 1, 1), T, color)  # compiles
-    start = time.perf_counter()
+    start = time.process_time()
     register_depth(depth, camera, T, color)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
 
 
 def test_a_d435i_is_registered_in_time() -> None:
@@ -172,7 +172,7 @@ def test_a_d435i_is_registered_in_time() -> None:
     depth = np.random.default_rng(0).uniform(0.5, 4.0, (480, 848)).astype(np.float32)
     times = []
     for _ in range(6):
-        start = time.perf_counter()
+        start = time.process_time()
         register_depth(depth, camera, T, color)
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     assert min(times) < SLACK * BUDGET_S

@@ -159,7 +159,7 @@ def test_nothing_is_overwritten(
         ('map.ply', [], 'give --camera'),
         ('map.ply', ['--camera', 'fr9'], '--size'),
         ('map.ply', ['--camera', 'fr9', '--size', '160x120'], "camera 'fr9'"),
-        ('map.ply', ['--camera', '1,2,3,4', '--size', '0x0'], 'too small'),
+        ('map.ply', ['--camera', '1,2,3,4', '--size', '0x0'], 'smaller than'),
         ('map.ply', ['--camera', '1,2,3,4', '--size', '90000x90000'], 'more than 8192'),
         ('map.ply', ['--camera', '1,2,3,4', '--size', 'big'], 'not big'),
         ('map.ply', ['--camera', '-1,2,3,4', '--size', '160x120'], 'not usable'),

@@ -124,7 +124,7 @@ BAD_CAMERAS = {
 }
 BAD_NUMBERS: dict[str, tuple[dict[str, object], str]] = {
     'huge': ({'w': 10**6, 'h': 10**6}, r'w, h: 1e\+06 x 1e\+06 is not an image size'),
-    'negative': ({'w': -64, 'h': -48}, 'too small'),
+    'negative': ({'w': -64, 'h': -48}, 'smaller than'),
     'fraction': ({'w': 64.5}, 'w, h: 64.5 x 48 is not an image size'),
     'endless': ({'w': float('inf')}, 'w, h: inf x 48 is not an image size'),
     'beyond floats': ({'fx': 10**400}, 'fx is a int, not a number'),

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from dcgs_ros.io import archive
+from dcgs_ros.io import archive, zip_members
 from dcgs_ros.io.archive import VERSION, ArchiveError, read_archive, write_archive
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
@@ -264,7 +264,8 @@ def test_a_hostile_file_is_refused_with_the_reason(tmp_path: Path, fault: str) -
 
 def test_members_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small(tmp_path / 'a')
-    monkeypatch.setattr(archive, '_MEMBERS_LIMIT', 4)
+    for module in (archive, zip_members):
+        monkeypatch.setattr(module, 'MEMBERS_LIMIT', 4)
     with pytest.raises(ArchiveError, match='more than 4 members'):
         read_archive(tmp_path / 'a')
     with pytest.raises(ArchiveError, match=r'b: not written: 5 members are more than 4'):
@@ -272,7 +273,7 @@ def test_members_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_members_have_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archive, '_MEMBER_LIMIT', 8)
+    monkeypatch.setattr(archive, 'MEMBER_LIMIT', 8)
     write_archive(tmp_path / 'a', {'x': np.zeros(1)}, {}, {'y': bytes(8)})
     with pytest.raises(ArchiveError, match="'x' has 16 bytes, more than 8"):
         write_archive(tmp_path / 'a', {'x': np.zeros(2)}, {}, {})

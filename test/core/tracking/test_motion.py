@@ -136,7 +136,7 @@ def test_interpolation_is_surest_at_both_ends() -> None:
     assert spread[-1.0][-1] == pytest.approx(spread[0.0][-1], abs=1e-12)
 
 
-def equations(H: NDArray[np.float64], x: NDArray) -> NormalEquations:
+def equations(H: NDArray[np.float64], x: NDArray[np.float64]) -> NormalEquations:
     """A term whose minimum is at x."""
     return NormalEquations(H, H @ x, float(x @ H @ x))
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tracker and mapper in one process: in lockstep, or the mapper in a thread of its own.
 
-A mapping mode is called with each frame after the tracker, which it never makes wait: `after`
-hands over and takes what is ready, `advance` does work that belongs to the mapper.
+A mapping mode is called with each frame after the tracker and never makes it wait: `after`
+exchanges keyframes and updates, `advance` does the mapper's work.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from .tracking.tracker import Tracker
 
 
 class MappingMode(Protocol):
-    """How mapping goes along with tracking."""
+    """How the mapper runs beside the tracker."""
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
-        """Hand a tracked frame over, and give the tracker what the mapper has for it."""
+        """Hand a tracked frame over, and give the tracker the mapper's update if there is one."""
         ...
 
     def advance(self) -> None:
-        """Let the mapper work, where it does so only when told."""
+        """Do the mapper's work that is due, if it has no thread."""
         ...
 
     def finish(self) -> Iterator[int]:
-        """Complete the map after the last frame; yields how many steps are left.
+        """Complete the map after the last frame; yield how many steps are left.
 
-        It may be abandoned at any step.
+        The caller may stop at any step.
         """
         ...
 
@@ -47,7 +47,7 @@ class Lockstep:
     """Mapper steps counted by frames, never by the clock: the same input gives the same bytes."""
 
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
-        """Go along with a tracker that has not tracked anything yet."""
+        """Take a tracker that has not tracked anything yet."""
         self._tracker, self._mapper = tracker, mapper
         self._selector = KeyframeSelector(mapper.config.mapping.view_interval)
         self._arrived: list[PosedFrame] = []
@@ -58,7 +58,7 @@ class Lockstep:
         self._arrived += self._selector.select(frame, result)
 
     def advance(self) -> None:
-        """Insert what arrived, take the steps that are due, and answer each keyframe."""
+        """Insert what arrived, take the steps that are due, and update the tracker."""
         answer = bool(self._arrived)
         for posed in self._arrived:
             self._mapper.insert(posed)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of the camera's motion before a frame is registered, and between its stamps."""
+"""The camera's motion: its prediction for the next frame, and between colour and depth."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class LocalMotion:
     acceleration: NDArray[np.float64]  # (6,) per second squared
 
     def pose_after(self, seconds: float) -> NDArray[np.float64]:
-        """Pose that much later (or earlier) in the frame of the instant: T_now_then."""
+        """Return the pose `seconds` later, or earlier, in the frame of the instant: T_now_then."""
         return se3.exp(seconds * (self.twist + 0.5 * seconds * self.acceleration))
 
     def twist_after(self, seconds: float) -> NDArray[np.float64]:
-        """Twist that much later, to first order in the same frame."""
+        """Return the twist `seconds` later, to first order in the same frame."""
         return self.twist + seconds * self.acceleration
 
 
@@ -57,14 +57,14 @@ class ConstantVelocity:
         return max((stamp_ns - self.stamp_ns) * 1e-9, _MIN_INTERVAL_S)
 
     def predict(self, stamp_ns: int) -> NDArray[np.float64]:
-        """Pose at a later stamp."""
+        """Return the pose (4, 4) at a later stamp."""
         dt = self._since_last_s(stamp_ns)
         if dt > _MAX_GAP_S:
             return self.T_world_cam
         return self.T_world_cam @ se3.exp(self.twist * dt)
 
     def prior(self, stamp_ns: int) -> PosePrior:
-        """Predicted pose with what a hand's acceleration can make of it since the last one."""
+        """Return the predicted pose, as uncertain as a hand's acceleration makes it."""
         dt = self._since_last_s(stamp_ns)
         half_dt2 = 0.5 * dt * dt
         return PosePrior(
@@ -72,10 +72,11 @@ class ConstantVelocity:
         )
 
     def arriving(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> LocalMotion:
-        """Motion at the end of the way from the last pose to this one.
+        """Return the motion on arrival at this pose, coming from the last one.
 
-        Its mean is the way over the interval; the acceleration is the change against the interval
-        before, without which a fast turn bends by tenths of a degree between depth and colour.
+        The mean twist is the displacement over the interval. The acceleration is its change since
+        the interval before; without it a fast turn is off by tenths of a degree between depth and
+        colour.
         """
         dt = self._since_last_s(stamp_ns)
         if dt > _MAX_GAP_S:
@@ -87,10 +88,10 @@ class ConstantVelocity:
         return LocalMotion(mean + 0.5 * dt * acceleration, acceleration)
 
     def passage_covariance(self, stamp_ns: int, lag_s: float) -> NDArray[np.float64]:
-        """Covariance (6, 6) of the motion interpolated between the colour's and depth's instants.
+        """Return the covariance (6, 6) of the motion between the colour's and depth's instants.
 
-        A path pinned at the last pose and this one bends by half a (t - t_last) (t - t_now) under
-        an acceleration a that the uniform one above does not explain.
+        A path through the last pose and this one deviates by half a (t - t_last) (t - t_now) under
+        an acceleration a that differs from the uniform one.
         """
         dt = self._since_last_s(stamp_ns)
         bend = 0.5 * abs(lag_s * (dt + lag_s))
@@ -107,13 +108,13 @@ class ConstantVelocity:
 
 
 class ColorDepthOffset:
-    """Constant offset of the depth's true time against its stamp, estimated while tracking.
+    """Constant offset of the depth's true time from its stamp, estimated while tracking.
 
     A depth point reaches the colour's instant as exp(v (dt + tau)) a, so an error of tau moves the
-    depth term along the twist v as a pose error would: tau is seen where depth and image disagree,
-    by delta = tau v + b, with information S = H_d - H_d (H_d + H_l)^-1 H_d. Here b is what the map
-    itself got wrong, among it tau's error when it was spawned, along that time's velocity; it is
-    the same between two keyframes and is marginalised out, so only changes of velocity tell.
+    depth term along the twist v as a pose error would: depth and image then disagree by
+    delta = tau v + b, with information S = H_d - H_d (H_d + H_l)^-1 H_d. Here b is the error of
+    the map, which includes tau's error when it was spawned, along the velocity at that time. It is
+    constant between two keyframes and is marginalised out, so only changes of velocity count.
     """
 
     def __init__(self, config: TimingConfig) -> None:
@@ -140,9 +141,9 @@ class ColorDepthOffset:
         twist: NDArray[np.float64],
         dt_s: float,
     ) -> None:
-        """Learn from one registered frame: what depth and image alone say, and its twist.
+        """Update the estimate from one frame: the equations of depth and image alone.
 
-        `twist` is that of the depth's instant, per second, camera frame.
+        `twist` (6,) is that of the depth's instant, per second, camera frame.
         """
         if not self._estimating:
             return
@@ -151,7 +152,7 @@ class ColorDepthOffset:
         S = depth.H - depth.H @ share
         J = np.column_stack([np.eye(6), twist])
         self._system += J.T @ S @ J
-        # delta is what the offset in use has left over: the whole of it is delta + v tau.
+        # delta is what remains with the offset in use: in total it is delta + v tau.
         disagreement = depth.g - share.T @ both.g + S @ twist * self.seconds
         self._right += J.T @ disagreement
         self._span_s += dt_s
@@ -160,7 +161,7 @@ class ColorDepthOffset:
         self.seconds = min(max(estimate, -self._limit_s), self._limit_s)
 
     def _marginal(self) -> tuple[float, float]:
-        """Information on tau in the interval under way, and it times tau: b marginalised out."""
+        """Return the current interval's information on tau, and it times tau, without b."""
         S = self._system[:6, :6]
         gain = np.linalg.solve(S + _WEAK, self._system[:6, 6])
         information = float(self._system[6, 6] - gain @ self._system[:6, 6])
@@ -173,7 +174,7 @@ class ColorDepthOffset:
             return
         information, weighted = self._marginal()
         fade = math.exp(-self._span_s / self._memory_s)
-        # What fades is the evidence, not the prior.
+        # The evidence fades, the prior does not.
         self._information = self._prior + fade * (self._information - self._prior) + information
         self._weighted = fade * self._weighted + weighted
         self._begin_interval()

@@ -163,6 +163,8 @@ class Tracker:
         self._first = frame
         first = self._start_map(frame, to_grey(frame.color), self._T_world_first, np.zeros(6))
         begun = self._begun = len(first.ids) >= self.config.registration.min_pairs
+        if not begun:
+            self._held.clear()
         return TrackResult(
             frame.stamp_ns, self._T_world_first, np.eye(4),
             np.zeros((6, 6)) if begun else _LOST_COVARIANCE,

@@ -292,7 +292,8 @@ def test_a_beginning_without_depth_is_got_over(bad: int) -> None:
     speck = np.zeros_like(frames[0].depth_m)
     speck[200, 200] = 1.0
     for frame in frames[:bad]:
-        tracker.track(replace(frame, depth_m=speck))
+        assert tracker.track(replace(frame, depth_m=speck)).state is TrackingState.LOST
+        assert tracker.flush() == ()
     results = [tracker.track(frame) for frame in frames[bad:]]
     assert all(result.state is TrackingState.OK for result in results[1:])
     truth = source_of(KINECT).groundtruth

@@ -9,8 +9,8 @@ If the damage is in the middle, the file's own index at its end leads to the chu
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
 
+from ..storage.mcap_index import McapIndex
 from ..storage.mcap_records import (
     CHUNK,
     CHUNK_INDEX,
@@ -23,24 +23,22 @@ from ..storage.mcap_records import (
 )
 from .losses import skipping
 
-if TYPE_CHECKING:
-    from ..storage.mcap_index import McapIndex
-
 _END = struct.Struct('<BQQQI8s')  # the footer, and the magic after it
 
 
-def read_summary(index: McapIndex, broken_at: int, size: int) -> None:
-    """Complete the index of a file of `size` bytes whose records break off at byte `broken_at`.
+def read_summary(index: McapIndex, broken_at: int) -> None:
+    """Complete the index of a file whose records break off at byte `broken_at`.
 
     The loss is appended to the index' losses. If the summary at the file's end is readable, the
     chunks between the damage and the summary are added to the index.
     """
+    size = index.size
     index.losses.append(
         f'never closed: it ends at byte {size} without a footer'
         if broken_at == size
         else f'cut off or overwritten at byte {broken_at} of {size}'
     )
-    summary_at = _summary_at(index, size)
+    summary_at = _summary_at(index)
     if summary_at <= broken_at:
         return
     try:
@@ -55,9 +53,9 @@ def read_summary(index: McapIndex, broken_at: int, size: int) -> None:
     index.blocks.sort()
 
 
-def _summary_at(index: McapIndex, size: int) -> int:
+def _summary_at(index: McapIndex) -> int:
     """Return where the summary begins, by the file's last bytes; 0 if these are damaged."""
-    index.file.seek(max(0, size - _END.size))
+    index.file.seek(max(0, index.size - _END.size))
     tail = index.file.read(_END.size)
     if len(tail) < _END.size:
         return 0

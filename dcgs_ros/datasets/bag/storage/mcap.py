@@ -12,8 +12,10 @@ import struct
 from collections.abc import Collection, Iterator
 from heapq import heappop, heappush
 from pathlib import Path
+from typing import BinaryIO
 
 from ..messages import RawMessage
+from ..recovery.mcap import read_summary
 from .compression import is_packed, unpack
 from .mcap_index import McapIndex
 from .mcap_records import (
@@ -42,7 +44,7 @@ def read_mcap(
     appended to `losses`. Raises `SourceError` if the file is no MCAP at all.
     """
     with path.open('rb') as file:
-        yield from _messages(McapIndex(file, losses), topics, heads=False)
+        yield from _messages(_index(file, losses), topics, heads=False)
 
 
 def read_mcap_heads(
@@ -53,16 +55,24 @@ def read_mcap_heads(
     It is for chunks without compression, whose checksums are not verified then.
     """
     with path.open('rb') as file:
-        yield from _messages(McapIndex(file, losses), topics, heads=True)
+        yield from _messages(_index(file, losses), topics, heads=True)
 
 
 def mcap_types(path: Path) -> dict[str, str] | None:
     """Return the types of the topics that hold messages, by the statistics; None without them."""
     losses: list[str] = []
     with path.open('rb') as file:
-        index = McapIndex(file, losses)
+        index = _index(file, losses)
     known = index.counts and not losses and all(key in index.channels for key in index.counts)
     return dict(index.channels[key] for key, n in index.counts.items() if n) if known else None
+
+
+def _index(file: BinaryIO, losses: list[str]) -> McapIndex:
+    """Index a file; what its records do not lead to is found by its own index."""
+    index = McapIndex(file, losses)
+    if index.broken_at is not None:
+        read_summary(index, index.broken_at)
+    return index
 
 
 def _messages(

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """An index of an MCAP file: where its messages are, and of which topics.
 
-It is made by walking the records, which takes no more than their headers; the file's own index is
-needed only if the records cannot be followed to their end (`recovery.mcap`).
+It is made by walking the records, which takes no more than their headers. The file's own index is
+needed only if the records break off before their end (`recovery.mcap`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import struct
 from typing import BinaryIO
 
 from ...source import SourceError
-from ..recovery.mcap import read_summary
 from .compression import size_limit
 from .mcap_records import (
     CHANNEL,
@@ -36,7 +35,10 @@ class McapIndex:
     """What the records outside of chunks say."""
 
     def __init__(self, file: BinaryIO, losses: list[str]) -> None:
-        """Walk all records; `losses` get those that are damaged. Raises `SourceError`."""
+        """Walk the records to the footer, or to where they break off; raises `SourceError`.
+
+        Damaged records are appended to `losses`.
+        """
         self.file = file
         self.losses = losses
         self.limit = size_limit(file)  # bytes, of one record
@@ -44,19 +46,20 @@ class McapIndex:
         self.channels: dict[int, tuple[str, str]] = {}  # topic and type
         self.channels_in: dict[int, set[int]] = {}  # channels of the chunk at a byte, if known
         self.counts: dict[int, int] = {}  # messages of each channel, by the statistics
+        self.size = os.fstat(file.fileno()).st_size  # bytes
+        self.broken_at: int | None = None  # byte where the records break off; None: the footer
         self._schemas: dict[int, str] = {}
         if (magic := file.read(len(MAGIC))) != MAGIC:
             raise SourceError(f'no MCAP: it begins with {magic!r}')
-        size = os.fstat(file.fileno()).st_size
         try:
-            for opcode, at, length in walk_records(file, len(MAGIC), size):
+            for opcode, at, length in walk_records(file, len(MAGIC), self.size):
                 try:
                     self.note(opcode, at, length)
                 except (ValueError, struct.error) as error:
                     losses.append(f'record at byte {at}: {error}')
             self.blocks.sort()
         except CutOffError as damage:
-            read_summary(self, damage.at, size)
+            self.broken_at = damage.at
 
     def note(self, opcode: int, at: int, length: int) -> None:
         """Keep what a record outside of chunks says; the file is at byte `at`, its body."""

@@ -57,7 +57,7 @@ LYING = (0, 1, 255, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1)
 FOOTER = struct.pack('<BQ', 2, 20) + bytes(20)
 
 
-def salvage(path: Path, heads: bool = False) -> tuple[list[RawMessage], str]:
+def recovered(path: Path, heads: bool = False) -> tuple[list[RawMessage], str]:
     """Messages that can be read, and what is said of the others ('' where there are none)."""
     messages = []
     try:
@@ -88,7 +88,7 @@ def test_an_mcap_cut_off_anywhere_gives_what_is_before(
     previous = 0
     for size in [*range(0, len(whole), len(whole) // 30), len(whole) - 1]:
         path.write_bytes(whole[:size])
-        messages, loss = salvage(path)
+        messages, loss = recovered(path)
         assert messages == entries()[: len(messages)]
         assert len(messages) >= previous
         assert loss or size >= len(whole) - FOOTER_BYTES
@@ -107,7 +107,7 @@ def test_an_mcap_that_was_never_closed_is_read(tmp_path: Path) -> None:
     path = tmp_path / 'a.mcap'
     with pytest.raises(KilledError):
         write_mcap(path, until_killed(), use_chunking=False)
-    messages, loss = salvage(path)
+    messages, loss = recovered(path)
     assert messages == entries()
     assert f'{len(messages)} messages could be read: a.mcap: never closed' in loss
     assert topic_types(path) == {message.topic: message.type for message in messages}
@@ -121,7 +121,7 @@ def test_a_damaged_chunk_costs_only_its_messages(tmp_path: Path) -> None:
     lost = entries()[FRAMES]
     data[data.index(lost.cdr) + 5000] ^= 1
     path.write_bytes(data)
-    messages, loss = salvage(path)
+    messages, loss = recovered(path)
     assert is_part(messages, entries())
     assert lost not in messages
     assert messages[0] == entries()[0] and messages[-1] == entries()[-1]
@@ -139,7 +139,7 @@ def test_behind_a_gap_the_index_leads_on(tmp_path: Path, length: int) -> None:
     at = summary.chunk_indexes[1].chunk_start_offset
     data[at + 1 : at + 9] = struct.pack('<Q', length)
     path.write_bytes(data)
-    messages, loss = salvage(path)
+    messages, loss = recovered(path)
     per_chunk = -(-len(entries()) // len(summary.chunk_indexes))
     assert is_part(messages, entries())
     assert len(entries()) - per_chunk <= len(messages) < len(entries())
@@ -151,7 +151,7 @@ def test_how_many_messages_there_were_is_told(tmp_path: Path) -> None:
     folder = write_bag(tmp_path / 'bag', recording(200), MCAP)
     file = folder / 'bag.mcap'
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    messages, loss = salvage(folder)
+    messages, loss = recovered(folder)
     assert 0 < len(messages) < 600
     assert f'{len(messages)} of 600 messages could be read: bag.mcap: cut off' in loss
     with pytest.raises(DamagedError, match=' of 200 messages'):
@@ -167,11 +167,11 @@ def test_a_missing_file_and_an_empty_one_are_told(tmp_path: Path, plugin: int) -
     paths = content['rosbag2_bagfile_information']['relative_file_paths']
     paths.append(f'../../elsewhere{file.suffix}')
     metadata.write_text(yaml.safe_dump(content))
-    messages, loss = salvage(folder)
+    messages, loss = recovered(folder)
     assert messages == entries()
     assert f'elsewhere{file.suffix} is missing' in loss and '..' not in loss.split(':')[-1]
     (folder / f'elsewhere{file.suffix}').touch()
-    messages, loss = salvage(folder)
+    messages, loss = recovered(folder)
     assert messages == entries()
     assert f'elsewhere{file.suffix}: no ' in loss
     file.write_bytes(b'')
@@ -204,7 +204,7 @@ def test_metadata_that_are_garbage_are_as_none(tmp_path: Path, text: str) -> Non
     (folder / 'metadata.yaml').write_text(text)
     assert is_bag(folder)
     assert custom_data(folder) == {}
-    messages, loss = salvage(folder)
+    messages, loss = recovered(folder)
     assert messages == entries()
     assert ('missing' in loss) == any(word in text for word in ('..]', 'passwd', 'nnn'))
 
@@ -215,9 +215,9 @@ def test_counts_that_lie_are_not_repeated(tmp_path: Path) -> None:
     metadata.write_text(
         metadata.read_text().replace(f'message_count: {FRAMES}', 'message_count: 1')
     )
-    assert salvage(folder) == (entries(), '')
+    assert recovered(folder) == (entries(), '')
     (folder / 'bag.mcap').write_bytes((folder / 'bag.mcap').read_bytes()[:-38])
-    assert f': {len(entries())} messages could be read' in salvage(folder)[1]
+    assert f': {len(entries())} messages could be read' in recovered(folder)[1]
 
 
 def test_recordings_of_nothing_are_empty(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_recordings_of_nothing_are_empty(tmp_path: Path) -> None:
         write_mcap(tmp_path / 'a.mcap', []),
         write_ros1(tmp_path / 'a.bag', []),
     ):
-        assert salvage(path) == ([], '')
+        assert recovered(path) == ([], '')
         assert topic_types(path) == {}
 
 
@@ -255,7 +255,7 @@ def test_an_sqlite_file_cut_off_gives_what_is_before(tmp_path: Path) -> None:
     numbers = []
     for size in range(len(whole) - 1, 0, -len(whole) // 30):
         path.write_bytes(whole[:size])
-        messages, loss = salvage(path)
+        messages, loss = recovered(path)
         broken = [message for message in messages if message not in entries()]
         assert len(broken) <= 1  # whose last page is incomplete
         assert loss
@@ -270,7 +270,7 @@ def test_a_bad_page_costs_the_messages_on_it(tmp_path: Path) -> None:
     losses = 0
     for page in range(5, len(whole) // 4096, 2):
         path.write_bytes(whole[: page * 4096] + b'\xa5' * 4096 + whole[(page + 1) * 4096 :])
-        messages, loss = salvage(path)
+        messages, loss = recovered(path)
         good = [message for message in messages if message in entries()]
         if page > 7:  # where topics, index and the table's root are not
             assert len(good) >= len(entries()) - 6
@@ -290,11 +290,11 @@ def test_what_a_writer_has_not_merged_is_read(tmp_path: Path) -> None:
         db.commit()
         for suffix in ('', '-wal'):
             shutil.copy(f'{path}{suffix}', f'{copy}{suffix}')
-        messages, loss = salvage(copy)
+        messages, loss = recovered(copy)
     assert (messages[:-1], loss) == (entries(), '')
     assert (messages[-1].stamp_ns, messages[-1].cdr) == (late, b'a')
     Path(f'{copy}-wal').write_bytes(b'x' * 5000)
-    assert is_part(entries(), salvage(copy)[0])
+    assert is_part(entries(), recovered(copy)[0])
 
 
 @pytest.mark.parametrize(
@@ -321,7 +321,7 @@ def test_columns_of_other_types_are_lost(tmp_path: Path) -> None:
         db.execute('UPDATE messages SET data = 7 WHERE id = 3')
         db.execute("UPDATE messages SET timestamp = 'noon' WHERE id = 4")
         db.execute('UPDATE messages SET topic_id = 99 WHERE id = 5')
-    messages, loss = salvage(path)
+    messages, loss = recovered(path)
     assert is_part(messages, entries())
     assert len(messages) == len(entries()) - 4
     assert 'message 2: its data are str (and 1 more)' in loss
@@ -342,7 +342,7 @@ def test_a_damaged_chunk_of_ros_1_ends_the_good_part(tmp_path: Path) -> None:
     at = len(data) // 2
     data[at : at + 64] = bytes(64)
     path.write_bytes(data)
-    messages, loss = salvage(path)
+    messages, loss = recovered(path)
     assert 0 < len(messages) < len(entries())
     assert messages == entries()[: len(messages)]
     assert 'a chunk cannot be read' in loss
@@ -373,7 +373,7 @@ def test_sizes_that_lie_are_not_believed(tmp_path: Path, told: int, compression:
         packed = begin + b''.join(packer.compress(megabyte) for _ in range(300)) + packer.flush()
     (tmp_path / 'a.mcap').write_bytes(chunk(told, compression.encode(), packed))
     tracemalloc.start()
-    messages, loss = salvage(tmp_path / 'a.mcap')
+    messages, loss = recovered(tmp_path / 'a.mcap')
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert not messages
@@ -423,13 +423,13 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
 def fuzz(tmp_path: Path, kind: str, times: int, seed: int) -> None:
     path = WRITERS[kind](tmp_path)
     whole = path.read_bytes()
-    assert len(salvage(path)[0]) == len(tiny())
+    assert len(recovered(path)[0]) == len(tiny())
     before = peak_bytes()
     rng = np.random.default_rng(seed)
     for _ in range(times):
         path.write_bytes(mutated(whole, rng))
-        messages, _ = salvage(path)
-        salvage(path, heads=True)
+        messages, _ = recovered(path)
+        recovered(path, heads=True)
         for message in messages:
             try:
                 decode(message.cdr, message.type)

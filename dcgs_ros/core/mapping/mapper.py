@@ -63,7 +63,7 @@ class Mapper:
         self.steps = 0
         self.poisoned = 0  # Gaussians dropped because a parameter was not finite
         self._renderer, self._workers = renderer or make_renderer(workers), workers
-        self._strategy = strategy or DefaultDensification(config)
+        self._strategy = strategy or DefaultDensification()
         self._rectify = Rectifier(camera)
         settings = config.mapping
         self._losses = {
@@ -74,7 +74,7 @@ class Mapper:
             for shrink in (1, COARSE)
         }  # fmt: skip
         self._random = np.random.default_rng(settings.seed)
-        self._scheduler = ViewScheduler(settings, self._random)
+        self._scheduler = ViewScheduler(self._random)
         self._next_own_id = -1
         self._removed: list[NDArray[np.int64]] = []
 
@@ -135,7 +135,7 @@ class Mapper:
         )
         valid = self._rectify.valid
         seen = Observation(images, valid, camera, view.exposure, rendering, COARSE)
-        planes = self._strategy.seed(seen, measured).planes
+        planes = self._strategy.seed(seen, measured, self.config).planes
         if planes.shape[1] < len(keyframe.ids):
             raise MapperError(
                 f'the strategy returned {planes.shape[1]} Gaussians, fewer than the '
@@ -183,7 +183,7 @@ class Mapper:
         """
         if not self.views:
             raise MapperError('no step without a keyframe: insert one first')
-        view, shrink = self._scheduler.choose(self.views, replay)
+        view, shrink = self._scheduler.choose(self.views, self.config.mapping, replay)
         target = view.target(self._rectify.valid, shrink, self._workers)
         camera = View.of(self.camera, view.T_world_cam, shrink)
         rendering = self._renderer.render(self.table.planes, camera)
@@ -222,7 +222,7 @@ class Mapper:
         table = self.table
         finite = np.isfinite(table.splats.planes).all(axis=0)
         self.poisoned += int(np.count_nonzero(~finite))
-        keep = finite & self._strategy.prune(table, self.views)
+        keep = finite & self._strategy.prune(table, self.views, self.config)
         if not keep.all():
             self._removed.append(table.ids[~keep & (table.ids >= 0)])
             table.keep(keep)

@@ -41,13 +41,15 @@ class Densification(Protocol):
     finite, and reports removed ones to the tracker. To try another strategy, pass it to `Mapper`:
 
         class TrackedOnly(DefaultDensification):
-            def seed(self, seen: Observation, spawned: Surface) -> Splats:
-                return self.tracked(seen, spawned)
+            def seed(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
+                return self.tracked(seen, spawned, config)
 
-        mapper = Mapper(camera, config, renderer, workers, TrackedOnly(config))
+        mapper = Mapper(camera, config, strategy=TrackedOnly())
+
+    The settings come with each call, since a node may change them while it runs.
     """
 
-    def seed(self, seen: Observation, spawned: Surface) -> Splats:
+    def seed(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
         """Return the Gaussians that a keyframe adds, in the mapper's world.
 
         The first len(spawned.points) of them are those that the tracker spawned, in the order of
@@ -55,7 +57,9 @@ class Densification(Protocol):
         """
         ...
 
-    def prune(self, table: SplatTable, views: Sequence[KeyframeView]) -> NDArray[np.bool_]:
+    def prune(
+        self, table: SplatTable, views: Sequence[KeyframeView], config: Config
+    ) -> NDArray[np.bool_]:
         """Return (N,) which of the Gaussians of `table` are kept; do not change the table."""
         ...
 
@@ -63,38 +67,37 @@ class Densification(Protocol):
 class DefaultDensification:
     """Flat discs where the map lacks some; drops what is transparent, too large or unused."""
 
-    def __init__(self, config: Config) -> None:
-        """Take the settings of `mapping` and the tracker's `keyframes.spawn_stride_px`."""
-        self._config = config.mapping
-        self._tracked_spacing_px = config.keyframes.spawn_stride_px
-
-    def seed(self, seen: Observation, spawned: Surface) -> Splats:
+    def seed(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
         """Return discs for the tracker's points, then discs where the map still lacks some."""
         lacks = lacking(
-            seen.images, seen.rendering, seen.shrink, seen.valid, spawned, seen.view, self._config
-        )
-        tracked = self.tracked(seen, spawned)
-        own = self._discs(seen, lacks, self._config.spawn_stride_px)
+            seen.images, seen.rendering, seen.shrink, seen.valid, spawned, seen.view,
+            config.mapping,
+        )  # fmt: skip
+        tracked = self.tracked(seen, spawned, config)
+        own = _discs(seen, lacks, config.mapping.spawn_stride_px, config)
         return Splats(np.concatenate([tracked.planes, own.planes], axis=1))
 
-    def tracked(self, seen: Observation, spawned: Surface) -> Splats:
+    def tracked(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
         """Return discs for the tracker's points."""
-        return self._discs(seen, spawned, self._tracked_spacing_px)
+        return _discs(seen, spawned, config.keyframes.spawn_stride_px, config)
 
-    def _discs(self, seen: Observation, surface: Surface, spacing_px: float) -> Splats:
-        return discs(surface, spacing_px, seen.images, seen.view, seen.exposure, self._config)
-
-    def prune(self, table: SplatTable, views: Sequence[KeyframeView]) -> NDArray[np.bool_]:
+    def prune(
+        self, table: SplatTable, views: Sequence[KeyframeView], config: Config
+    ) -> NDArray[np.bool_]:
         """Keep what is opaque enough, small enough, and has an effect on some image.
 
         The effect is judged once the Gaussian itself or its host view was optimised
         `trial_visits` times.
         """
-        config, splats = self._config, table.splats
+        settings, splats = config.mapping, table.splats
         with np.errstate(invalid='ignore', over='ignore'):
-            keep = 1 / (1 + np.exp(-splats.opacity_logits)) > config.prune_opacity
-            keep &= splats.log_scales.max(axis=0) < np.log(config.prune_scale_m)
+            keep = 1 / (1 + np.exp(-splats.opacity_logits)) > settings.prune_opacity
+            keep &= splats.log_scales.max(axis=0) < np.log(settings.prune_scale_m)
         hosts = np.array([view.visits for view in views], np.int64)
-        tried = np.maximum(table.visits, hosts[table.hosts]) >= config.trial_visits
-        keep &= ~tried | (table.weights > config.prune_weight)
+        tried = np.maximum(table.visits, hosts[table.hosts]) >= settings.trial_visits
+        keep &= ~tried | (table.weights > settings.prune_weight)
         return np.asarray(keep)
+
+
+def _discs(seen: Observation, surface: Surface, spacing_px: float, config: Config) -> Splats:
+    return discs(surface, spacing_px, seen.images, seen.view, seen.exposure, config.mapping)

@@ -17,24 +17,26 @@ COARSE = 2  # a coarse step renders one pixel for COARSE x COARSE of the image
 class ViewScheduler:
     """Alternates between the least visited view and rounds that visit every view once."""
 
-    def __init__(self, config: MappingConfig, random: np.random.Generator) -> None:
+    def __init__(self, random: np.random.Generator) -> None:
         """Start without a round; `random` may be shared with others."""
-        self._config, self._random = config, random
+        self._random = random
         self._round: list[KeyframeView] = []  # views still to be visited in this round
 
-    def choose(self, views: Sequence[KeyframeView], replay: bool) -> tuple[KeyframeView, int]:
+    def choose(
+        self, views: Sequence[KeyframeView], config: MappingConfig, replay: bool
+    ) -> tuple[KeyframeView, int]:
         """Return the next view, one of those that still have images, and its shrink factor.
 
         The shrink factor is 1 or COARSE. With `replay` all views take turns at full resolution.
         """
         active = [view for view in views if view.active]
-        if not replay and self._random.random() < self._config.newest_share:
+        if not replay and self._random.random() < config.newest_share:
             chosen = min(reversed(active), key=lambda view: view.visits)
         else:
             if not self._round:
                 self._round = [active[k] for k in self._random.permutation(len(active))]
             chosen = self._round.pop()
-        coarse = not replay and self._random.random() < self._config.coarse_share
+        coarse = not replay and self._random.random() < config.coarse_share
         return chosen, COARSE if coarse else 1
 
     def restart(self) -> None:

@@ -33,26 +33,28 @@ TRANSPARENT = -9.0  # logit of an opacity far below `prune_opacity`
 class TrackedOnly(DefaultDensification):
     """Adds nothing to what the tracker spawned, and keeps everything."""
 
-    def seed(self, seen: Observation, spawned: Surface) -> Splats:
-        return self.tracked(seen, spawned)
+    def seed(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
+        return self.tracked(seen, spawned, config)
 
-    def prune(self, table: SplatTable, views: Sequence[KeyframeView]) -> NDArray[np.bool_]:
+    def prune(
+        self, table: SplatTable, views: Sequence[KeyframeView], config: Config
+    ) -> NDArray[np.bool_]:
         return np.ones(len(table), np.bool_)
 
 
 class Twice(TrackedOnly):
     """Adds each of the tracker's Gaussians a second time, as its own."""
 
-    def seed(self, seen: Observation, spawned: Surface) -> Splats:
-        planes = self.tracked(seen, spawned).planes
+    def seed(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
+        planes = self.tracked(seen, spawned, config).planes
         return Splats(np.concatenate([planes, planes], axis=1))
 
 
 class Forgetful(TrackedOnly):
     """Leaves one of the tracker's Gaussians out."""
 
-    def seed(self, seen: Observation, spawned: Surface) -> Splats:
-        return Splats(self.tracked(seen, spawned).planes[:, 1:])
+    def seed(self, seen: Observation, spawned: Surface, config: Config) -> Splats:
+        return Splats(self.tracked(seen, spawned, config).planes[:, 1:])
 
 
 def keyframe() -> Keyframe:
@@ -75,7 +77,7 @@ def mapper_with(strategy: Densification | None) -> Mapper:
 
 def test_another_densification_decides_what_comes_and_what_goes() -> None:
     counts = []
-    for strategy in (None, TrackedOnly(CONFIG)):
+    for strategy in (None, TrackedOnly()):
         mapper, given = mapper_with(strategy), keyframe()
         mapper.insert(given)
         inserted = len(mapper.table)
@@ -88,7 +90,7 @@ def test_another_densification_decides_what_comes_and_what_goes() -> None:
 
 
 def test_own_gaussians_get_ids_from_minus_one_downwards_and_stay_out_of_updates() -> None:
-    mapper, given = mapper_with(Twice(CONFIG)), keyframe()
+    mapper, given = mapper_with(Twice()), keyframe()
     mapper.insert(given)
     n = len(given.ids)
     np.testing.assert_array_equal(mapper.table.ids, [*range(n), *range(-1, -n - 1, -1)])
@@ -101,7 +103,7 @@ def test_own_gaussians_get_ids_from_minus_one_downwards_and_stay_out_of_updates(
 
 
 def test_gaussians_that_are_not_finite_are_removed_even_if_the_strategy_keeps_them() -> None:
-    mapper = mapper_with(TrackedOnly(CONFIG))
+    mapper = mapper_with(TrackedOnly())
     mapper.insert(keyframe())
     mapper.table.splats.planes[0, 4] = np.nan
     mapper.prune()
@@ -110,4 +112,17 @@ def test_gaussians_that_are_not_finite_are_removed_even_if_the_strategy_keeps_th
 
 def test_a_strategy_that_leaves_out_the_trackers_gaussians_is_refused() -> None:
     with pytest.raises(DcgsError, match='strategy'):
-        mapper_with(Forgetful(CONFIG)).insert(keyframe())
+        mapper_with(Forgetful()).insert(keyframe())
+
+
+def test_settings_that_change_hold_from_the_next_keyframe_and_step_on() -> None:
+    """As when a parameter of the node is set while it runs."""
+    first, second = mapper_with(None), mapper_with(None)
+    second.config = override(CONFIG, {'mapping.spawn_stride_px': 12, 'mapping.prune_opacity': 0.9})
+    for mapper in (first, second):
+        mapper.insert(keyframe())
+    assert len(second.table) < len(first.table)
+    first.prune()
+    inserted = len(second.table)
+    second.prune()
+    assert len(first.table) > 0 and len(second.table) < inserted

@@ -302,3 +302,13 @@ class Config(Stage):
     timing: TimingConfig = field(default_factory=TimingConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)
+
+    @property
+    def uses_landmarks(self) -> bool:
+        """Whether the ablation has an image residual."""
+        return self.ablation in ('full', 'shared_klt')
+
+    @property
+    def shares_covariance(self) -> bool:
+        """Whether the ablation registers with normalised covariances, not the tracker's own."""
+        return self.ablation in ('shared', 'shared_klt')

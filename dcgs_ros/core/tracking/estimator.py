@@ -26,7 +26,6 @@ from .registration import DepthTerm, Registration, register, start_from_landmark
 
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
 _SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the start
-_LANDMARK_ABLATIONS = ('full', 'shared_klt')
 
 
 @dataclass(frozen=True)
@@ -114,11 +113,6 @@ def estimate(
     return Estimate(registered, found, landmarks)
 
 
-def uses_landmarks(config: Config) -> bool:
-    """Return whether the ablation has an image residual."""
-    return config.ablation in _LANDMARK_ABLATIONS
-
-
 def to_grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return an RGB image (H, W, 3), or one that is grey already, as grey (H, W)."""
     return color if color.ndim == 2 else np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
@@ -141,7 +135,7 @@ def _followed(
 ) -> Landmarks:
     """Follow the landmarks from the last view into the image."""
     last = memory.last
-    if last is None or not uses_landmarks(config):
+    if last is None or not config.uses_landmarks:
         return memory.landmarks
     return memory.landmarks.followed(
         last.grey, grey, last.T_world_cam, prior.T_world_cam, camera, config.landmarks

@@ -40,7 +40,7 @@ class DepthTerm:
         self._gaussians = gaussians
         self._config = config
         self._anchor = config.registration.anchor_px / focal_px
-        self._shared = config.ablation in ('shared', 'shared_klt')
+        self._shared = config.shares_covariance
         self._Q = Q
         self._slots = np.full(len(cloud), -1, np.int32)
         if self._shared:

@@ -17,7 +17,7 @@ from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Keyframe, MapUpdate
-from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey, uses_landmarks
+from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
 from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
@@ -80,7 +80,7 @@ class Tracker:
         self._accept(found)
         keyframe = self._is_keyframe(found)
         if keyframe:
-            self._extend_map(found.registered, last)
+            self._held.append(self._extend_map(found.registered, last))
         return self._result(found, keyframe)
 
     def flush(self) -> tuple[Keyframe, ...]:
@@ -163,8 +163,8 @@ class Tracker:
         self._first = frame
         first = self._start_map(frame, to_grey(frame.color), self._T_world_first, np.zeros(6))
         begun = self._begun = len(first.ids) >= self.config.registration.min_pairs
-        if not begun:
-            self._held.clear()
+        if begun:
+            self._held = [first]
         return TrackResult(
             frame.stamp_ns, self._T_world_first, np.eye(4),
             np.zeros((6, 6)) if begun else _LOST_COVARIANCE,
@@ -182,7 +182,6 @@ class Tracker:
         """Start the map from one frame, of a camera that moves with `twist`."""
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self._visited.clear()
-        self._held.clear()
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey)
@@ -202,7 +201,8 @@ class Tracker:
         found = estimate(second, memory, self.gaussians, self.camera, self.config)
         if memory.last is not None and found.is_trusted(self.config):
             motion = memory.motion.arriving(found.registered.T_world_cam, second.stamp_ns)
-            self._start_map(first, memory.last.grey, self.T_world_cam, motion.twist)
+            grey = memory.last.grey
+            self._held = [self._start_map(first, grey, self.T_world_cam, motion.twist)]
 
     def _relocalize(self, frame: RgbdFrame, relocalizer: Relocalizer) -> TrackResult:
         """Try a few of the places where the camera may be; go on from one that explains enough."""
@@ -272,13 +272,11 @@ class Tracker:
         )  # fmt: skip
         self._anchor_landmarks(registered)
         self._visited.append(T)
-        keyframe = Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, *self.gaussians.of(ids))
-        self._held.append(keyframe)
-        return keyframe
+        return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, *self.gaussians.of(ids))
 
     def _anchor_landmarks(self, registered: RegisteredFrame) -> None:
         """Anchor new landmarks in the map; the next keyframe is due when this view is left."""
-        if uses_landmarks(self.config):
+        if self.config.uses_landmarks:
             new = detect(
                 registered.grey, registered.frame.depth_m, self.landmarks, registered.T_world_cam,
                 registered.T_cam_cam_at_depth, self.gaussians, self.camera, self.config.sensor,
@@ -291,7 +289,7 @@ class Tracker:
     def _result(self, found: Estimate, keyframe: bool) -> TrackResult:
         registered, result = found.registered, found.registration
         variance = 1.0
-        if self.config.ablation in ('shared', 'shared_klt'):  # not metric: scaled by the residual
+        if self.config.shares_covariance:  # not metric: scaled by the residual
             variance = result.equations.cost / max(3 * result.inliers - 6, 1)
         spectrum = observability(result.equations.H, result.sharp.H)
         return TrackResult(

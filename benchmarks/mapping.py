@@ -31,7 +31,6 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers, cores
 from dcgs_ros.core.mapping.mapper import Mapper
-from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.slam import Lockstep
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
@@ -138,7 +137,7 @@ def mean_shifts(source: Source, reach_sigmas: float) -> MeanShifts:
     config = override(Config(sensor=source.sensor), {'mapping.reach_sigmas': reach_sigmas})
     with closing(Workers(cores())) as workers:
         tracker = Tracker(source.camera, config)
-        mapper = Mapper(source.camera, config, make_renderer(workers), workers)
+        mapper = Mapper(source.camera, config, workers=workers)
         mapping = Lockstep(tracker, mapper)
         for frame in source:
             if isinstance(frame, RgbdFrame):

@@ -21,7 +21,6 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers, cores
 from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.core.mapping.mapper import Mapper
-from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.slam import Lockstep
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
@@ -56,7 +55,7 @@ def full_map(gaussians: int, keyframes: int, steps: int) -> float:
     config = override(Config(sensor=source.sensor), caps)
     assert source.groundtruth is not None
     with closing(Workers(cores())) as workers:
-        mapper = Mapper(source.camera, config, make_renderer(workers), workers)
+        mapper = Mapper(source.camera, config, workers=workers)
         for frame, T_world_cam in zip(source, source.groundtruth.T_world_cam, strict=True):
             assert isinstance(frame, RgbdFrame)
             first, count = len(mapper.views) * gaussians // keyframes, gaussians // keyframes
@@ -97,7 +96,7 @@ def long_run(address: str, every: int) -> list[Sample]:
     samples = []
     with closing(Workers(cores())) as workers, closing(prefetch(source)) as frames:
         tracker = Tracker(source.camera, config)
-        mapper = Mapper(source.camera, config, make_renderer(workers), workers)
+        mapper = Mapper(source.camera, config, workers=workers)
         mapping = Lockstep(tracker, mapper)
         for count, frame in enumerate(frames, 1):
             assert isinstance(frame, RgbdFrame)

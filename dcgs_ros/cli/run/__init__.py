@@ -8,6 +8,7 @@ import contextlib
 from contextlib import closing
 
 from ...core.kernels.workers import Workers
+from ...core.mapping.mapper import mapper_threads
 from ...datasets.open import open_source
 from ...datasets.source import SourceError
 from ...evaluation.report import RunRecord
@@ -15,7 +16,7 @@ from ..arguments import RunArguments, UsageError
 from ..folders import create_folder, refuse_used
 from ..stopping import StopSignals
 from .configuration import configure
-from .pipeline import mapper_threads, start
+from .pipeline import start
 from .session import Session
 
 

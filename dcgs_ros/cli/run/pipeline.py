@@ -15,10 +15,9 @@ from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
-from ...core.kernels.workers import Workers, cores
+from ...core.kernels.workers import Workers
 from ...core.mapping.mapper import Mapper
 from ...core.mapping.warmup import warm_up_with_mapper
-from ...core.render import make_renderer
 from ...core.slam import Lockstep, MappingMode, Online
 from ...core.tracking.result import TrackResult
 from ...core.tracking.tracker import Tracker
@@ -32,14 +31,6 @@ _DROPPED = 'dropped: a newer frame came before the tracker was free'
 _SLOW_S = 2.0  # a start that takes longer is explained
 
 
-def mapper_threads(config: Config, online: bool) -> int:
-    """Return how many threads the mapper gets: as configured, by default all cores.
-
-    Online the mapper works while the tracker does, which keeps one core.
-    """
-    return config.threads or max(1, cores() - online)
-
-
 def start(
     camera: PinholeCamera, config: Config, mapping: bool, online: bool, workers: Workers
 ) -> Pipeline:
@@ -49,7 +40,7 @@ def start(
     tracker = Tracker(camera, config)
     if not mapping:
         return Pipeline(tracker, NoMapping(), None, online)
-    mapper = Mapper(camera, config, make_renderer(workers), workers)
+    mapper = Mapper(camera, config, workers=workers)
     return Pipeline(tracker, (Online if online else Lockstep)(tracker, mapper), mapper, online)
 
 

@@ -32,6 +32,14 @@ from .views import KeyframeView, shrink_memory
 _EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
 
 
+def mapper_threads(config: Config, online: bool = False) -> int:
+    """Return how many threads a mapper gets: as configured, by default all cores.
+
+    Online the mapper works while the tracker does, which keeps one core.
+    """
+    return config.threads or max(1, cores() - online)
+
+
 class MapperError(DcgsError):
     """A keyframe that the mapper cannot use, or a step without keyframes."""
 
@@ -53,10 +61,10 @@ class Mapper:
     ) -> None:
         """Start with an empty map.
 
-        By default `workers` are all cores or `config.threads`, `renderer` is what `make_renderer`
-        finds for them, and `strategy` is `DefaultDensification`.
+        By default `workers` are `mapper_threads`, `renderer` is what `make_renderer` finds for
+        them, and `strategy` is `DefaultDensification`.
         """
-        workers = workers or Workers(config.threads or cores())
+        workers = workers or Workers(mapper_threads(config))
         self.camera, self.config = camera, config
         self.table = SplatTable()
         self.views: list[KeyframeView] = []

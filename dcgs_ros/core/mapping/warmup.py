@@ -8,7 +8,6 @@ from ..camera import PinholeCamera
 from ..config.schema import override
 from ..config.stages import Config
 from ..kernels.workers import Workers
-from ..render import make_renderer
 from ..slam import Lockstep
 from ..tracking.tracker import Tracker
 from ..tracking.warmup import EVERY_FRAME, frames
@@ -29,8 +28,8 @@ _A_BIT_OF_ALL = {
 def warm_up_with_mapper(camera: PinholeCamera, config: Config) -> None:
     """Track and map a few frames, so that every kernel of `Mapper` has run as well."""
     config = override(config, EVERY_FRAME | _A_BIT_OF_ALL)
-    tracker, workers = Tracker(camera, config), Workers(1)
-    mapping = Lockstep(tracker, Mapper(camera, config, make_renderer(workers), workers))
+    tracker = Tracker(camera, config)
+    mapping = Lockstep(tracker, Mapper(camera, config, workers=Workers(1)))
     for frame in frames(camera, config.sensor):
         mapping.after(frame, tracker.track(frame))
         mapping.advance()

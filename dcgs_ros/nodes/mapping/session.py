@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from ...core.config.stages import Config
 from ...core.errors import DcgsError
-from ...core.kernels.workers import Workers, cores
+from ...core.kernels.workers import Workers
 from ...core.keyframe import MapUpdate
-from ...core.mapping.mapper import Mapper
-from ...core.render import make_renderer
+from ...core.mapping.mapper import Mapper, mapper_threads
 from ...core.render.renderer import Rendering
 from ...io.map_archive import write_map
 from ...io.ply import write_ply
@@ -39,7 +38,7 @@ class MappingSession:
     def __init__(self, config: Config, warn: Callable[[str], None]) -> None:
         """Wait for the first keyframe; `warn` gets the lines for the log."""
         self.config, self._warn = config, warn
-        self._workers = Workers(config.threads or max(1, cores() - 1))
+        self._workers = Workers(mapper_threads(config, online=True))
         self.mapper: Mapper | None = None
         self.epoch = 0
         self.camera_frame = ''  # frame_id of the images, as last received
@@ -55,7 +54,9 @@ class MappingSession:
         Views do not tell their epoch: before the first keyframe they are ignored.
         """
         begins = packet.epoch not in (0, self.epoch)
-        mapper = self._new_mapper(packet) if begins else self.mapper
+        mapper = self.mapper
+        if begins:
+            mapper = Mapper(packet.camera, self.config, workers=self._workers)
         if mapper is None or (packet.stamp_ns in self.stamps and not begins):
             return None
         try:
@@ -75,10 +76,6 @@ class MappingSession:
         """Count a keyframe that cannot be used, and warn."""
         self.refused += 1
         self._warn(f'keyframe refused: {error}')
-
-    def _new_mapper(self, packet: KeyframePacket) -> Mapper:
-        renderer = make_renderer(self._workers)
-        return Mapper(packet.camera, self.config, renderer, self._workers)
 
     def _begin(self, mapper: Mapper, epoch: int) -> None:
         if self.mapper is not None:

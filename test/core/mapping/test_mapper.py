@@ -22,7 +22,7 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.core.mapping.exposure import Exposure
-from dcgs_ros.core.mapping.mapper import Mapper
+from dcgs_ros.core.mapping.mapper import Mapper, mapper_threads
 from dcgs_ros.core.render.cpu import CpuRenderer
 
 CAMERA = PinholeCamera(80, 60, 70.0, 72.0, 38.0, 31.0)
@@ -723,3 +723,11 @@ def test_a_keyframe_that_is_none_is_refused_and_the_mapper_goes_on_without_it(fa
     assert state(mapper) == before
     for _ in range(5):
         mapper.step()
+
+
+def test_lockstep_takes_all_cores_and_online_leaves_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    for cores, lockstep, online in ((8, 8, 7), (2, 2, 1), (1, 1, 1)):
+        monkeypatch.setattr('dcgs_ros.core.mapping.mapper.cores', lambda cores=cores: cores)
+        assert mapper_threads(Config(), online=False) == lockstep
+        assert mapper_threads(Config(), online=True) == online
+    assert mapper_threads(Config(threads=3), online=True) == 3

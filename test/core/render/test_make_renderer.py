@@ -1,26 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The renderer and the number of threads that the mapper gets."""
+"""Which renderer a machine gets."""
 
 from __future__ import annotations
 
 import pytest
 
-from dcgs_ros.cli.run import pipeline
 from dcgs_ros.core import render
-from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.render import make_renderer
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.render.renderer import RenderError
-
-
-def test_lockstep_takes_all_cores_and_online_leaves_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    for cores, lockstep, online in ((8, 8, 7), (2, 2, 1), (1, 1, 1)):
-        monkeypatch.setattr(pipeline, 'cores', lambda cores=cores: cores)
-        assert pipeline.mapper_threads(Config(), online=False) == lockstep
-        assert pipeline.mapper_threads(Config(), online=True) == online
-    assert pipeline.mapper_threads(Config(threads=3), online=True) == 3
 
 
 class Gpu:

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,8 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import settings
+
+ROOT = Path(__file__).resolve().parents[1]
 
 # No example is too slow for a machine. `make quick` draws fewer of them.
 settings.register_profile('thorough', deadline=None)
@@ -33,6 +37,19 @@ def data_dir() -> Path:
     if not Path(value).is_dir():
         pytest.skip(f'DCGS_TEST_DATA={value} is no folder')
     return Path(value)
+
+
+@pytest.fixture(scope='session')
+def loaded_after() -> Callable[[str], set[str]]:
+    """Return a function that runs code in a fresh process and returns the modules it loaded."""
+
+    def run(code: str) -> set[str]:
+        command = [sys.executable, '-c', f"{code}\nimport sys; print(*sys.modules, sep='\\n')"]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return set(done.stdout.split())
+
+    return run
 
 
 def write_image(path: Path, image: np.ndarray) -> None:

@@ -7,9 +7,8 @@ from __future__ import annotations
 import ast
 import importlib
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -40,21 +39,14 @@ ROS = {
 APT = {'PyYAML': 'yaml', 'opencv-python-headless': 'opencv'}  # names that differ from PyPI's
 SOURCES = [ROOT / 'setup.py', *(p for name in FOLDERS for p in (ROOT / name).rglob('*.py'))]
 
+LoadedAfter = Callable[[str], set[str]]
+
 IMPORT_ALL = """
-import importlib, pkgutil, sys
+import importlib, pkgutil
 package = importlib.import_module({package!r})
 for module in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):
     importlib.import_module(module.name)
-print(*sorted(sys.modules), sep='\\n')
 """
-
-
-def loaded_by(package: str) -> set[str]:
-    """Return the modules in a fresh process that has imported all of a package."""
-    command = [sys.executable, '-c', IMPORT_ALL.format(package=package)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return set(done.stdout.split())
 
 
 def imported_by(path: Path) -> set[str]:
@@ -129,8 +121,8 @@ def test_only_nodes_import_ros(ring: str) -> None:
         assert not imported_by(path) & ROS, path
 
 
-def test_core_needs_no_ros_no_torch_and_none_of_the_outer_rings() -> None:
-    loaded = loaded_by('dcgs_ros.core')
+def test_core_needs_no_ros_no_torch_and_none_of_the_outer_rings(loaded_after: LoadedAfter) -> None:
+    loaded = loaded_after(IMPORT_ALL.format(package='dcgs_ros.core'))
     assert 'dcgs_ros.core.camera' in loaded
     assert not loaded & {'rclpy', 'torch', 'matplotlib', 'tqdm', 'tyro'}
     outer = {'datasets', 'io', 'evaluation', 'nodes', 'cli'}
@@ -140,15 +132,12 @@ def test_core_needs_no_ros_no_torch_and_none_of_the_outer_rings() -> None:
 
 
 @pytest.mark.parametrize('module', ['dcgs_ros.core.tracking.tracker', 'dcgs_ros.nodes.tracker'])
-def test_tracking_loads_neither_mapper_nor_renderer(module: str) -> None:
+def test_tracking_loads_neither_mapper_nor_renderer(
+    module: str, loaded_after: LoadedAfter
+) -> None:
     if '.nodes.' in module:
         pytest.importorskip('rclpy')
-    program = f"import sys, {module}; print(*sys.modules, sep='\\n')"
-    done = subprocess.run(
-        [sys.executable, '-c', program], cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    loaded = done.stdout.split()
+    loaded = loaded_after(f'import {module}')
     assert module in loaded
     others = ('dcgs_ros.core.mapping', 'dcgs_ros.core.render', 'dcgs_ros.core.slam')
     assert not [name for name in loaded if name.startswith(others)]
@@ -159,8 +148,10 @@ def test_tracking_loads_neither_mapper_nor_renderer(module: str) -> None:
     ('ring', 'outside'),
     [('io', {'datasets', 'evaluation'}), ('datasets', {'evaluation'}), ('evaluation', set())],
 )
-def test_the_middle_ring_needs_no_ros_and_nothing_outside_it(ring: str, outside: set[str]) -> None:
-    loaded = loaded_by(f'dcgs_ros.{ring}')
+def test_the_middle_ring_needs_no_ros_and_nothing_outside_it(
+    ring: str, outside: set[str], loaded_after: LoadedAfter
+) -> None:
+    loaded = loaded_after(IMPORT_ALL.format(package=f'dcgs_ros.{ring}'))
     assert not loaded & {'rclpy', 'torch', 'tyro', 'matplotlib.pyplot', 'evo'}
     assert not loaded & {f'dcgs_ros.{name}' for name in outside | {'nodes', 'cli'}}
 

@@ -8,6 +8,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
@@ -16,15 +17,10 @@ import pytest
 import dcgs_ros
 
 ROOT = Path(__file__).resolve().parent.parent
+LoadedAfter = Callable[[str], set[str]]
+
 HEAVY = {'numpy', 'cv2', 'numba', 'scipy', 'yaml', 'tyro', 'tqdm', 'matplotlib', 'rclpy'}
 NAMES = [name for name in dcgs_ros.__all__ if name != '__version__']
-
-
-def loaded_by(code: str) -> set[str]:
-    """Return the modules in a fresh process that has run `code`."""
-    command = [sys.executable, '-c', f'{code}\nimport sys; print(*sys.modules)']
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
 
 
 def typed_imports() -> dict[str, str]:
@@ -48,19 +44,19 @@ def test_type_checkers_see_the_same_names_from_the_same_modules() -> None:
     assert sorted(NAMES) == sorted(dcgs_ros._HOMES)
 
 
-def test_importing_the_package_loads_nothing_heavy() -> None:
-    assert not loaded_by('import dcgs_ros; dir(dcgs_ros)') & HEAVY
+def test_importing_the_package_loads_nothing_heavy(loaded_after: LoadedAfter) -> None:
+    assert not loaded_after('import dcgs_ros; dir(dcgs_ros)') & HEAVY
 
 
-def test_a_name_loads_its_module_only() -> None:
-    loaded = loaded_by('from dcgs_ros import Trajectory')
+def test_a_name_loads_its_module_only(loaded_after: LoadedAfter) -> None:
+    loaded = loaded_after('from dcgs_ros import Trajectory')
     assert 'numpy' in loaded
     assert not loaded & {'cv2', 'numba'}
 
 
-def test_names_are_listed_before_their_first_use() -> None:
+def test_names_are_listed_before_their_first_use(loaded_after: LoadedAfter) -> None:
     code = 'import dcgs_ros; assert set(dcgs_ros.__all__) <= set(dir(dcgs_ros))'
-    assert 'dcgs_ros.core' not in loaded_by(code)
+    assert 'dcgs_ros.core' not in loaded_after(code)
 
 
 def test_a_star_import_gives_all_names() -> None:

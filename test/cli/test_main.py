@@ -195,16 +195,10 @@ def test_every_verb_has_help(verb: str, capsys: pytest.CaptureFixture[str]) -> N
     assert 'default: None' not in out
 
 
-def loaded_after(code: str) -> set[str]:
-    code += '; import sys; print(*sys.modules)'
-    done = subprocess.run(
-        [sys.executable, '-c', code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    return set(done.stdout.split())
-
-
 @pytest.mark.slow
-def test_help_imports_nothing_heavy_and_a_run_no_matplotlib() -> None:
+def test_help_imports_nothing_heavy_and_a_run_no_matplotlib(
+    loaded_after: Callable[[str], set[str]],
+) -> None:
     light = loaded_after('import dcgs_ros.cli.main')
     assert not light & {'numpy', 'numba', 'cv2', 'scipy', 'matplotlib', 'tqdm', 'yaml'}
     running = loaded_after('import dcgs_ros.cli.run')

@@ -38,22 +38,24 @@ class LandmarkConfig(Stage):
 
     corners: int = ranged(300, 1, 5000, 'Largest number of corners that are tracked.')
     min_distance_px: int = ranged(12, 2, 200, 'Smallest distance between corners, pixels.')
-    quality: float = ranged(
-        0.01, 1e-6, 1, 'Strength of the weakest corner that is used, relative to the strongest.'
-    )
-    min_gradient: float = ranged(
-        4.0,
+    min_gradient_sigmas: float = ranged(
+        3.0,
         0,
-        100,
-        'Smallest gradient in the weakest direction of a corner, grey levels per pixel.',
+        1000,
+        'Smallest gradient in the weakest direction of a corner, per pixel, in standard '
+        "deviations of the image's noise.",
     )
     window_px: int = ranged(13, 5, 63, 'Side of the window that KLT tracks, pixels.')
     levels: int = ranged(3, 0, 6, "Levels of KLT's image pyramid, besides the image itself.")
-    back_check_px: float = ranged(
-        1.0,
+    slip_px: float = ranged(
+        1.5,
         0.01,
         100,
-        'Largest error of a corner that is tracked forwards and back again, pixels.',
+        'Largest distance of a tracked corner from where the patch it was detected in fits, '
+        'pixels.',
+    )
+    min_correlation: float = ranged(
+        0.6, -1, 1, 'Smallest correlation of a tracked corner with the patch it was detected in.'
     )
     sigma_px: float = ranged(
         0.7, 0.01, 100, 'sigma_m: standard deviation of a tracked corner, pixels (paper: 2).'
@@ -72,6 +74,12 @@ class LandmarkConfig(Stage):
         1e-3,
         1,
         'Largest distance of a landmark from the Gaussian that it is anchored to, metres.',
+    )
+    replenish: float = ranged(
+        0.8, 0, 1, 'Share of the landmarks of the last detection below which more are detected.'
+    )
+    min_factors: int = ranged(
+        4, 1, 5000, 'Smallest number of landmarks that a pose is estimated with.'
     )
     min_start: int = ranged(
         20, 6, 5000, 'Smallest number of landmarks from which the registration can start.'

@@ -42,7 +42,9 @@ class Memory:
     motion: ConstantVelocity
     offset_s: float  # depth's true time less its stamp
     last: RegisteredFrame | None = None
-    landmarks: Landmarks = field(default_factory=Landmarks.none)  # pixels in the last frame
+    image: RegisteredFrame | None = None  # the last one whose colour was new: KLT goes on from it
+    landmarks: Landmarks = field(default_factory=Landmarks.none)  # pixels in that image
+    spread: NDArray[np.int64] | None = None  # landmarks in each cell at the last detection
     overlap: float = 0.0  # of the last frame
 
     def lag_s(self, frame: RgbdFrame) -> float:
@@ -63,7 +65,8 @@ class Estimate:
 
     registered: RegisteredFrame
     registration: Registration
-    landmarks: Landmarks  # those followed into the frame and measured: the image factors' own
+    landmarks: Landmarks  # those followed into the frame: the image factors' own, if any
+    fresh: bool  # whether its colour image is another than the last one's
 
     def is_trusted(self, config: Config) -> bool:
         """Return whether it has enough factors of one kind, and a finite system."""
@@ -75,7 +78,7 @@ class Estimate:
 
     def consistent_landmarks(self, max_chi2: float) -> Landmarks:
         """Return the landmarks that do not contradict the pose: a moving corner does."""
-        if self.registration.image is None:
+        if self.registration.image is None or not self.fresh:
             return self.landmarks
         return self.landmarks[self.registration.image.chi2(self.registered.T_world_cam) < max_chi2]
 
@@ -85,13 +88,14 @@ def estimate(
 ) -> Estimate:
     """Register a frame against the map; reads its arguments and changes none of them."""
     grey = to_grey(frame.color)
+    fresh = memory.image is None or not np.array_equal(grey, memory.image.grey)
 
     # The motion so far, continued at constant velocity.
     prior = memory.motion.prior(frame.stamp_ns)
 
     # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
-    landmarks = _followed(grey, memory, prior, camera, config)
-    landmarks, image = _measured(landmarks, frame, memory, prior, camera, config)
+    landmarks = _followed(grey, memory, prior, camera, config) if fresh else memory.landmarks
+    image = _measured(landmarks, frame, memory, prior, camera, config) if fresh else None
 
     # The landmarks alone give a start, where there are enough.
     start = _start(frame, memory, prior, image, config)
@@ -110,7 +114,7 @@ def estimate(
 
     T = found.T_world_cam
     registered = RegisteredFrame(frame, T, memory.depth_motion(frame, T), grey)
-    return Estimate(registered, found, landmarks)
+    return Estimate(registered, found, landmarks, fresh)
 
 
 def to_grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -133,8 +137,8 @@ def _followed(
     camera: PinholeCamera,
     config: Config,
 ) -> Landmarks:
-    """Follow the landmarks from the last view into the image."""
-    last = memory.last
+    """Follow the landmarks from the last image."""
+    last = memory.image
     if last is None or not config.uses_landmarks:
         return memory.landmarks
     return memory.landmarks.followed(
@@ -149,17 +153,16 @@ def _measured(
     prior: PosePrior,
     camera: PinholeCamera,
     config: Config,
-) -> tuple[Landmarks, PointFactors | None]:
-    """Give the landmarks their depth; return those that have one, and their factors if any."""
-    if not len(landmarks):
-        return landmarks, None
+) -> PointFactors | None:
+    """Return the factors of the landmarks, if there are enough: a few may be noise."""
+    if len(landmarks) < config.landmarks.min_factors:
+        return None
     T = prior.T_world_cam
     weight = config.shared_klt_weight if config.ablation == 'shared_klt' else 1.0
-    landmarks, image = landmarks.measured(
+    return landmarks.measured(
         frame.depth_m, T, memory.depth_motion(frame, T), camera, config.sensor, config.landmarks,
         weight,
     )  # fmt: skip
-    return landmarks, image if len(landmarks) else None
 
 
 @dataclass(frozen=True)

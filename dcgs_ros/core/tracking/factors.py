@@ -30,6 +30,15 @@ class Targets:
         """Return the targets of a mask or of indices."""
         return Targets(self.points[keep], self.axes[keep], self.perp[keep], self.along[keep])
 
+    def joined(self, other: Targets) -> Targets:
+        """Return both sets together."""
+        return Targets(
+            np.concatenate([self.points, other.points]),
+            np.concatenate([self.axes, other.axes]),
+            np.concatenate([self.perp, other.perp]),
+            np.concatenate([self.along, other.along]),
+        )
+
     @property
     def covariances(self) -> NDArray[np.float64]:
         """(N, 3, 3) square metres, world."""
@@ -53,6 +62,21 @@ def observed_from(
         np.square(anchor * ranges).astype(np.float32),
         np.square(sensor.sigma(ranges)).astype(np.float32),
     )
+
+
+def covariances_along_rays(
+    points: NDArray[np.floating],  # (N, 3) metres, camera
+    perp: NDArray[np.floating],  # (N,) variance across the ray, square metres
+    along: NDArray[np.floating],  # (N,) variance along the ray, square metres
+) -> NDArray[np.float32]:
+    """Return perp (I - v v^T) + along v v^T of the points' rays, (N, 6): xx xy xz yy yz zz."""
+    v = points / np.linalg.norm(points, axis=1, keepdims=True)
+    x, y, z = v.T
+    k = along - perp
+    out = np.column_stack(
+        [perp + k * x * x, k * x * y, k * x * z, perp + k * y * y, k * y * z, perp + k * z * z]
+    )
+    return np.asarray(out, np.float32)
 
 
 @dataclass(frozen=True)
@@ -141,9 +165,8 @@ class PointFactors:
 
         Along the ray, where the point is from the depth image, the variance grows by 1 m^2.
         """
-        v = self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
-        x, y, z = v.T
-        along = np.column_stack([x * x, x * y, x * z, y * y, y * z, z * z])
+        n = len(self.points)
+        along = covariances_along_rays(self.points, np.zeros(n), np.ones(n))
         return replace(self, covariances=self.covariances + along)
 
     def _summed(self, T: NDArray[np.float64]) -> tuple[NormalEquations, NDArray[np.float64]]:

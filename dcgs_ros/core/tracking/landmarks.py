@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,51 +15,51 @@ from ..camera import PinholeCamera
 from ..config.stages import LandmarkConfig
 from ..kernels.jit import kernel
 from ..sensor import SensorNoise
-from .cloud import measurement_covariances
-from .factors import PointFactors, Targets, observed_from
+from .corners import corners
+from .factors import PointFactors, Targets, covariances_along_rays, observed_from
 from .gaussian_map import GaussianMap
+from .patches import Patches, cut
 
 _FLAT_SLOPE = 0.03  # largest depth range of 3x3 pixels on one surface, share of depth ...
 _FLAT_NOISE = 8.0  # ... plus this many sigma_z
 _SPARE = 3  # corners searched for each one wanted: many have no depth
+_NEAREST_M = 0.05  # nearer landmarks have no meaningful projection
+_CONTRADICTS = 4.0  # standard deviations between a measured and an expected depth ...
+_ROUGH_M = 0.01  # ... plus this, metres
 _MIN_NEIGHBOURS = 6  # with depth, of the 3x3 pixels
-# OpenCV's minimal eigenvalue of a 3x3 block where the weakest gradient is 1 grey level per pixel:
-# its Sobel operator has gain 8 and is divided by 4 * 3 * 255.
-_EIGENVALUE = 9.0 * (8.0 / 3060.0) ** 2
 _KLT_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.03)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Landmarks:
     """Tracked corners: their positions in the last image and in the world."""
 
     pixels: NDArray[np.float32]  # (L, 2) distorted, in the last image
     targets: Targets  # l and the anchor's Sigma_t
+    patches: Patches  # of the images in which they were detected
 
     @classmethod
     def none(cls) -> Landmarks:
         """Return an empty set."""
         empty = np.empty((0, 3), np.float32)
-        return cls(empty[:, :2], Targets(empty, empty, empty[:, 0], empty[:, 0]))
+        targets = Targets(empty, empty, empty[:, 0], empty[:, 0])
+        return cls(empty[:, :2], targets, Patches.none())
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
         return len(self.pixels)
 
-    def __getitem__(self, keep: NDArray[np.bool_]) -> Landmarks:
-        """Return the landmarks of a mask."""
-        return Landmarks(self.pixels[keep], self.targets[keep])
+    def __getitem__(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Landmarks:
+        """Return the landmarks of a mask or of indices."""
+        return Landmarks(self.pixels[keep], self.targets[keep], self.patches[keep])
 
     def joined(self, other: Landmarks) -> Landmarks:
         """Return both sets together."""
-        a, b = self.targets, other.targets
-        joined = Targets(
-            np.concatenate([a.points, b.points]),
-            np.concatenate([a.axes, b.axes]),
-            np.concatenate([a.perp, b.perp]),
-            np.concatenate([a.along, b.along]),
+        return Landmarks(
+            np.concatenate([self.pixels, other.pixels]),
+            self.targets.joined(other.targets),
+            self.patches.joined(other.patches),
         )
-        return Landmarks(np.concatenate([self.pixels, other.pixels]), joined)
 
     def seen_from(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the landmarks (L, 3) in the frame of a camera, metres."""
@@ -74,24 +74,29 @@ class Landmarks:
         camera: PinholeCamera,
         config: LandmarkConfig,
     ) -> Landmarks:
-        """Return the corners tracked into the next image by KLT.
+        """Return the corners tracked into the next image.
 
-        It starts from the flow of the predicted motion, a difference of two projections, so that a
-        landmark's own error does not enter. Corners that are not tracked back to where they were
-        are left out.
+        KLT starts from the flow of the predicted motion, a difference of two projections, so that
+        a landmark's own error does not enter. Each corner is then aligned with the patch it was
+        detected in. One that moves by that, or does not look like it, has slid along an edge or on
+        to another surface, and is left out: in fast turns those did more harm than landmarks do
+        good.
         """
         if not len(self):
             return self
         before, after = self.seen_from(T_world_previous), self.seen_from(T_world_predicted)
-        ahead = (before[:, 2] > 0.05) & (after[:, 2] > 0.05)
-        alive = self[ahead]
+        ahead = (before[:, 2] > _NEAREST_M) & (after[:, 2] > _NEAREST_M)
+        alive, after = self[ahead], after[ahead]
         if not len(alive):
             return alive
-        guess = alive.pixels + camera.project(after[ahead]) - camera.project(before[ahead])
-        pixels, found = _klt(previous, grey, alive.pixels, guess, config.levels, config)
-        back, returned = _klt(grey, previous, pixels, alive.pixels, min(1, config.levels), config)
-        found &= returned & (np.abs(back - alive.pixels).max(axis=1) < config.back_check_px)
-        return Landmarks(pixels[found], alive.targets[found])
+        flow = camera.project(after) - camera.project(before[ahead])
+        pixels, found = _klt(previous, grey, alive.pixels, alive.pixels + flow, config)
+        aligned, correlation = alive.patches.aligned(
+            grey, pixels, after, T_world_predicted, camera
+        )
+        found &= np.abs(aligned - pixels).max(axis=1) < config.slip_px
+        found &= correlation > config.min_correlation
+        return replace(alive, pixels=aligned)[found]
 
     def measured(
         self,
@@ -102,23 +107,26 @@ class Landmarks:
         sensor: SensorNoise,
         config: LandmarkConfig,
         weight: float,
-    ) -> tuple[Landmarks, PointFactors]:
-        """Back-project the corners at the measured depth: a_l with S_l = S(v_l, z_l; sigma_m).
+    ) -> PointFactors:
+        """Return the factors of the corners: back-projected, with S_l = S(v_l, z_l; sigma_m).
 
-        Return the landmarks that have depth, and their factors.
+        A corner without depth, or with one that contradicts what is expected, counts across its
+        ray only; it stands at the expected depth, with a variance of 1 m^2 along the ray.
         """
-        expected = self.seen_from(T_world_predicted)[:, 2]
-        points = _back_projected(
+        expected = np.maximum(self.seen_from(T_world_predicted)[:, 2], _NEAREST_M)
+        measured, rays = _back_projected(
             self.pixels, expected.astype(np.float32), depth_m, T_cam_cam_at_depth, camera, sensor
         )
-        keep = (points[:, 2] > sensor.depth_min_m) & (points[:, 2] < sensor.depth_max_m)
-        alive, points = self[keep], points[keep]
-        covariances = measurement_covariances(
-            points, np.zeros_like(points), sensor, config.sigma_px / camera.focal, 0.0
+        off = np.abs(measured - expected)
+        bearing = off > _CONTRADICTS * np.sqrt(2.0) * sensor.sigma(expected) + _ROUGH_M
+        bearing |= ~_in_range(measured, sensor)
+        points = (rays * np.where(bearing, expected, measured)[:, None]).astype(np.float32)
+        ranges = np.linalg.norm(points, axis=1)
+        along = np.where(bearing, 1.0, np.square(sensor.sigma(ranges)))
+        covariances = covariances_along_rays(
+            points, np.square(config.sigma_px / camera.focal * ranges), along
         )
-        return alive, PointFactors(
-            points, covariances, alive.targets, huber=config.huber, weight=weight
-        )
+        return PointFactors(points, covariances, self.targets, huber=config.huber, weight=weight)
 
 
 def detect(
@@ -135,26 +143,31 @@ def detect(
 ) -> Landmarks:
     """Return new corners, placed on the tangent planes of their nearest Gaussians.
 
-    l = x + n_j n_j^T (mu_j - x), with the anchor's covariance Sigma_t,j. There are at most
-    `config.corners` together with those `alive`, which they keep their distance from.
+    l = x + n_j n_j^T (mu_j - x), with the anchor's covariance Sigma_t,j. A corner without a
+    Gaussian near it is placed at its measured point x, with Sigma_t of this view. There are at
+    most `config.corners` together with those `alive`, which they keep their distance from.
     """
     wanted = config.corners - len(alive)
-    pixels = _corners(grey, alive.pixels, _SPARE * wanted, config)
+    pixels = corners(grey, alive.pixels, _SPARE * wanted, config)
     guess = _depth_at(depth_m, pixels, sensor.a_m, sensor.b_per_m)
-    points = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, camera, sensor)
-    keep = (points[:, 2] > sensor.depth_min_m) & (points[:, 2] < sensor.depth_max_m)
-    pixels, points = pixels[keep], points[keep]
+    z, rays = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, camera, sensor)
+    best = np.flatnonzero(_in_range(z, sensor))[: max(wanted, 0)]  # the strongest are first
+    pixels, points = pixels[best], rays[best] * z[best, None]
+    R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
     world = se3.transform(T_world_cam, points).astype(np.float32)
     slots = gaussians.index.nearest(gaussians.means, world, config.anchor_radius_m)
-    best = np.flatnonzero(slots >= 0)[: max(wanted, 0)]  # the strongest are first
-    pixels, world, slots = pixels[best], world[best], slots[best]
-    normals = gaussians.normals[slots]
-    height = np.sum((gaussians.means[slots] - world) * normals, axis=1, keepdims=True)
-    anchored = observed_from(
-        gaussians.means[slots], gaussians.viewpoints[slots], sensor, anchor_px / camera.focal
-    )
-    targets = Targets(world + normals * height, anchored.axes, anchored.perp, anchored.along)
-    return Landmarks(pixels, targets)
+    on_map = slots >= 0
+    near = slots[on_map]
+    seen_at, seen_from, normals = world.copy(), np.tile(t, (len(world), 1)), world - t
+    seen_at[on_map] = gaussians.means[near]
+    seen_from[on_map] = gaussians.viewpoints[near]
+    normals[on_map] = gaussians.normals[near]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    height = np.sum((seen_at - world) * normals, axis=1, keepdims=True)
+    anchors = observed_from(seen_at, seen_from, sensor, anchor_px / camera.focal)
+    targets = replace(anchors, points=(world + normals * height).astype(np.float32))
+    patches = cut(grey, pixels, points, normals @ R, T_world_cam, camera)
+    return Landmarks(pixels, targets, patches)
 
 
 def _klt(
@@ -162,7 +175,6 @@ def _klt(
     grey: NDArray[np.uint8],
     pixels: NDArray[np.float32],  # (L, 2)
     guess: NDArray[np.float32],  # (L, 2)
-    levels: int,
     config: LandmarkConfig,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     found_at, status, _ = cv2.calcOpticalFlowPyrLK(
@@ -171,34 +183,11 @@ def _klt(
         np.ascontiguousarray(pixels, np.float32).reshape(-1, 1, 2),
         np.array(guess, np.float32).reshape(-1, 1, 2),  # a copy: OpenCV writes into it
         winSize=(config.window_px, config.window_px),
-        maxLevel=levels,
+        maxLevel=config.levels,
         criteria=_KLT_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     return found_at.reshape(-1, 2), status.ravel() > 0
-
-
-def _corners(
-    grey: NDArray[np.uint8], taken: NDArray[np.float32], wanted: int, config: LandmarkConfig
-) -> NDArray[np.float32]:
-    """Return Shi-Tomasi corners (N, 2) away from those `taken`, found at half resolution."""
-    if wanted <= 0:
-        return np.empty((0, 2), np.float32)
-    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    strongest = float(cv2.cornerMinEigenVal(half, 3).max())
-    if strongest <= 0.0:
-        return np.empty((0, 2), np.float32)
-    quality = max(config.quality, config.min_gradient**2 * _EIGENVALUE / strongest)
-    if quality >= 1.0:
-        return np.empty((0, 2), np.float32)
-    mask = np.full(half.shape, 255, np.uint8)
-    reach = config.min_distance_px / 2.0
-    for x, y in np.round(taken / 2.0).astype(int):
-        cv2.circle(mask, (int(x), int(y)), round(reach), 0, -1)
-    found = cv2.goodFeaturesToTrack(half, wanted, quality, reach, mask=mask, blockSize=3)
-    if found is None:
-        return np.empty((0, 2), np.float32)
-    return found.reshape(-1, 2).astype(np.float32) * 2.0 + 0.5
 
 
 def _back_projected(
@@ -208,8 +197,8 @@ def _back_projected(
     T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
     camera: PinholeCamera,
     sensor: SensorNoise,
-) -> NDArray[np.float32]:
-    """Return points (L, 3) of corners, at the instant of the colour image; z = 0 without depth.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return depths (L,) and rays (L, 3), z = 1, of corners at colour's instant; 0: no depth.
 
     The depth image was taken at another instant: a corner's depth is looked up where the camera's
     motion puts its point at that instant, and the motion along the axis is added.
@@ -224,7 +213,11 @@ def _back_projected(
         depth_m, camera.project(then[visible]), sensor.a_m, sensor.b_per_m
     )
     depth = np.where(looked_up > 0, looked_up + there[:, 2] - then[:, 2], 0.0)
-    return (rays * depth[:, None]).astype(np.float32)
+    return depth.astype(np.float32), rays
+
+
+def _in_range(z: NDArray[np.float32], sensor: SensorNoise) -> NDArray[np.bool_]:
+    return (z > sensor.depth_min_m) & (z < sensor.depth_max_m)
 
 
 @kernel

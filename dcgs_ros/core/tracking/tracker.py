@@ -17,6 +17,7 @@ from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Keyframe, MapUpdate
+from .corners import spread
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
 from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
@@ -81,6 +82,8 @@ class Tracker:
         keyframe = self._is_keyframe(found)
         if keyframe:
             self._held.append(self._extend_map(found.registered, last))
+        elif found.fresh and self._runs_out_of_landmarks():
+            self._anchor_landmarks(found.registered)
         return self._result(found, keyframe)
 
     def flush(self) -> tuple[Keyframe, ...]:
@@ -185,7 +188,7 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey)
-        self._memory = replace(self._memory, last=registered)
+        self._memory = replace(self._memory, last=registered, image=registered)
         return self._extend_map(registered, None)
 
     def _place_first(self, first: RgbdFrame, second: RgbdFrame) -> None:
@@ -212,7 +215,7 @@ class Tracker:
         best = relocalizer.best(depth, config)
         T = best.T_world_cam
         found = Estimate(
-            RegisteredFrame(frame, T, np.eye(4), to_grey(frame.color)), best, Landmarks.none()
+            RegisteredFrame(frame, T, np.eye(4), to_grey(frame.color)), best, Landmarks.none(), True
         )
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
@@ -223,7 +226,7 @@ class Tracker:
         self._relocalizer = None
         self._memory = replace(
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
-            last=found.registered, overlap=best.overlap,
+            last=found.registered, image=found.registered, overlap=best.overlap,
         )  # fmt: skip
         self._anchor_landmarks(found.registered)
         return self._result(found, False)
@@ -247,7 +250,9 @@ class Tracker:
             self._offset.observe(result.sharp_depth, image, twist, dt_s)
         self._memory = Memory(
             memory.motion.advanced(T, stamp_ns), self._offset.seconds, registered,
-            found.consistent_landmarks(self.config.landmarks.drop_chi2), result.overlap,
+            registered if found.fresh else memory.image,
+            found.consistent_landmarks(self.config.landmarks.drop_chi2), memory.spread,
+            result.overlap,
         )  # fmt: skip
 
     def _is_keyframe(self, found: Estimate) -> bool:
@@ -271,20 +276,32 @@ class Tracker:
             self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
         )  # fmt: skip
         self._anchor_landmarks(registered)
+        self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         self._visited.append(T)
         return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, *self.gaussians.of(ids))
 
+    def _runs_out_of_landmarks(self) -> bool:
+        """Return whether they are few, or missing where there were some, since the detection."""
+        spread_then, share = self._memory.spread, self.config.landmarks.replenish
+        if spread_then is None:
+            return False
+        left = spread(self.landmarks.pixels, (self.camera.height, self.camera.width))
+        if len(self.landmarks) < share * spread_then.sum():
+            return True
+        return bool(np.any(left < 0.5 * spread_then - 1.0))
+
     def _anchor_landmarks(self, registered: RegisteredFrame) -> None:
-        """Anchor new landmarks in the map; the next keyframe is due when this view is left."""
-        if self.config.uses_landmarks:
-            new = detect(
-                registered.grey, registered.frame.depth_m, self.landmarks, registered.T_world_cam,
-                registered.T_cam_cam_at_depth, self.gaussians, self.camera, self.config.sensor,
-                self.config.landmarks, self.config.registration.anchor_px,
-            )  # fmt: skip
-            self._memory = replace(self._memory, landmarks=self.landmarks.joined(new))
-        stamp_ns = registered.frame.stamp_ns
-        self._policy.took(registered.T_world_cam, stamp_ns, len(self.landmarks))
+        """Detect new landmarks, and anchor them in the map."""
+        if not self.config.uses_landmarks:
+            return
+        new = detect(
+            registered.grey, registered.frame.depth_m, self.landmarks, registered.T_world_cam,
+            registered.T_cam_cam_at_depth, self.gaussians, self.camera, self.config.sensor,
+            self.config.landmarks, self.config.registration.anchor_px,
+        )  # fmt: skip
+        landmarks = self.landmarks.joined(new)
+        there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
+        self._memory = replace(self._memory, landmarks=landmarks, spread=there)
 
     def _result(self, found: Estimate, keyframe: bool) -> TrackResult:
         registered, result = found.registered, found.registration

@@ -15,9 +15,10 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import LandmarkConfig
 from dcgs_ros.core.sensor import SensorNoise
-from dcgs_ros.core.tracking.factors import PointFactors, Targets
+from dcgs_ros.core.tracking.factors import PointFactors, Targets, observed_from
 from dcgs_ros.core.tracking.gaussian_map import GaussianMap
 from dcgs_ros.core.tracking.landmarks import Landmarks, detect
+from dcgs_ros.core.tracking.patches import cut
 
 ON_PLANE_M = 2e-6  # float32 at a few metres
 BACK_PROJECTED_M = 2e-6
@@ -64,13 +65,23 @@ def to_world(
     return moved
 
 
-def landmarks_at(pixels: NDArray[np.floating], world: NDArray[np.floating]) -> Landmarks:
+def landmarks_at(
+    pixels: NDArray[np.floating],
+    world: NDArray[np.floating],
+    image: NDArray[np.uint8] | None = None,
+) -> Landmarks:
+    """Landmarks on surfaces that face the camera, whose pose is the identity."""
     n = len(pixels)
+    image = np.zeros((240, 320), np.uint8) if image is None else image
+    at = np.asarray(pixels, np.float32)
+    points = lifted(PINHOLE, at, np.full(n, 1.5))
+    facing = np.tile([0.0, 0.0, -1.0], (n, 1))
     variance = np.full(n, 1e-6, np.float32)
     axes = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
     return Landmarks(
-        np.asarray(pixels, np.float32),
+        at,
         Targets(np.asarray(world, np.float32), axes, variance, variance),
+        cut(image, at, points, facing, STILL, PINHOLE),
     )
 
 
@@ -81,7 +92,7 @@ def measured(
     T_cam_cam_at_depth: NDArray[np.float64] = STILL,
     T_world_cam: NDArray[np.float64] = STILL,
     weight: float = 1.0,
-) -> tuple[Landmarks, PointFactors]:
+) -> PointFactors:
     return landmarks.measured(
         depth_m, T_world_cam, T_cam_cam_at_depth, camera, SENSOR, CONFIG, weight
     )
@@ -153,13 +164,19 @@ def test_a_landmark_inherits_the_covariance_of_its_gaussian() -> None:
     )
 
 
-def test_far_from_any_gaussian_there_is_no_landmark() -> None:
+def test_far_from_any_gaussian_a_landmark_is_where_it_was_measured() -> None:
+    """With Sigma_t of this view: a turn outruns the keyframes, not the landmarks."""
     depth_m = plane_depth(PINHOLE, np.array([0.0, 0.0, -1.0]), 1.2)
     grey = image_of_blocks(seed=5)
-    assert len(detected(grey, depth_m, GaussianMap(0.06))) == 0
-    gaussians = map_about(PINHOLE, depth_m, seed=6)
     beyond = CONFIG.anchor_radius_m + 0.02
-    assert len(detected(grey, (depth_m + beyond).astype(np.float32), gaussians)) == 0
+    far = map_about(PINHOLE, (depth_m - beyond).astype(np.float32), seed=6)
+    for gaussians in (GaussianMap(0.06), far):
+        found = detected(grey, depth_m, gaussians)
+        x = to_world(lifted(PINHOLE, found.pixels, np.full(len(found), 1.2)), T_WORLD_CAM)
+        assert len(found) > 50
+        np.testing.assert_allclose(found.targets.points, x, atol=ON_PLANE_M)
+        own = observed_from(x.astype(np.float32), T_WORLD_CAM[:3, 3], SENSOR, ANCHOR_PX / 262.0)
+        np.testing.assert_allclose(found.targets.covariances, own.covariances, rtol=1e-3)
 
 
 def test_corners_keep_their_distance_and_their_number() -> None:
@@ -191,17 +208,17 @@ def test_a_measurement_is_the_pixel_at_the_measured_depth(camera: PinholeCamera)
     depth_m = np.full((240, 320), 1.7, np.float32)
     pixels = np.random.default_rng(11).uniform((5, 5), (314, 234), (80, 2)).astype(np.float32)
     expected = lifted(camera, pixels, np.full(80, 1.7))
-    alive, pairs = measured(landmarks_at(pixels, expected + 0.01), depth_m, camera)
-    assert len(alive) == 80
+    landmarks = landmarks_at(pixels, expected + 0.01)
+    pairs = measured(landmarks, depth_m, camera)
     np.testing.assert_allclose(pairs.points, expected, atol=BACK_PROJECTED_M)
-    np.testing.assert_array_equal(pairs.targets.points, alive.targets.points)
+    np.testing.assert_array_equal(pairs.targets.points, landmarks.targets.points)
 
 
 def test_the_covariance_is_that_of_a_match() -> None:
     """S_l = S(v, z; sigma_m): no association term, for the track fixes the correspondence."""
     depth_m = np.full((240, 320), 1.7, np.float32)
     pixels = np.random.default_rng(12).uniform((5, 5), (314, 234), (30, 2))
-    _, pairs = measured(landmarks_at(pixels, lifted(PINHOLE, pixels, np.full(30, 1.7))), depth_m)
+    pairs = measured(landmarks_at(pixels, lifted(PINHOLE, pixels, np.full(30, 1.7))), depth_m)
     ranges = np.linalg.norm(pairs.points.astype(np.float64), axis=1)
     S = SENSOR.covariance(pairs.points / ranges[:, None], ranges, CONFIG.sigma_px, PINHOLE.focal)
     rows, columns = np.triu_indices(3)
@@ -209,43 +226,55 @@ def test_the_covariance_is_that_of_a_match() -> None:
     assert pairs.huber == CONFIG.huber
 
 
+def is_bearing(pairs: PointFactors) -> NDArray[np.bool_]:
+    """Which measurements say nothing along the ray: a metre of standard deviation."""
+    rays = pairs.points / np.linalg.norm(pairs.points, axis=1, keepdims=True)
+    xx, xy, xz, yy, yz, zz = pairs.covariances.astype(np.float64).T
+    x, y, z = rays.T
+    along = xx * x * x + yy * y * y + zz * z * z + 2 * (xy * x * y + xz * x * z + yz * y * z)
+    bearing: NDArray[np.bool_] = along > 0.5
+    return bearing
+
+
 @pytest.mark.parametrize('hole', [0.0, np.nan, np.inf, -1.0])
-def test_no_depth_no_measurement(hole: float) -> None:
+def test_without_depth_a_corner_counts_across_its_ray(hole: float) -> None:
     depth_m = np.full((240, 320), 1.7, np.float32)
     depth_m[90:110, 90:110] = hole
     pixels = np.array([[100, 100], [200, 100], [0.2, 100], [100, 239.4], [-5, 50], [400, 50]])
-    alive, pairs = measured(
-        landmarks_at(pixels, lifted(PINHOLE, pixels, np.full(6, 1.7))), depth_m
-    )
-    np.testing.assert_allclose(alive.pixels, pixels[1:2])
-    assert len(pairs.points) == 1
+    expected = lifted(PINHOLE, pixels, np.full(6, 1.7))
+    pairs = measured(landmarks_at(pixels, expected), depth_m)
+    assert is_bearing(pairs).tolist() == [True, False, True, True, True, True]
+    np.testing.assert_allclose(pairs.points, expected, atol=BACK_PROJECTED_M)
 
 
 @pytest.mark.parametrize('distance_m', [0.5 * SENSOR.depth_min_m, 1.1 * SENSOR.depth_max_m])
-def test_out_of_range_is_no_measurement(distance_m: float) -> None:
+def test_out_of_range_there_is_no_depth(distance_m: float) -> None:
     pixels = np.array([[100.0, 100.0]])
     depth_m = np.full((240, 320), distance_m, np.float32)
     there = lifted(PINHOLE, pixels, np.array([distance_m]))
-    assert len(measured(landmarks_at(pixels, there), depth_m)[0]) == 0
+    assert is_bearing(measured(landmarks_at(pixels, there), depth_m)).all()
 
 
-def test_a_corner_at_an_edge_of_depth_is_no_measurement() -> None:
+def test_a_depth_that_contradicts_the_landmark_is_not_used() -> None:
+    """Something stands before it: what is seen there is a corner of its edge."""
+    pixels = np.array([[100.0, 100.0], [200.0, 100.0]])
+    depth_m = np.full((240, 320), 1.7, np.float32)
+    depth_m[:, 150:] = 1.2
+    expected = lifted(PINHOLE, pixels, np.full(2, 1.7))
+    pairs = measured(landmarks_at(pixels, expected), depth_m)
+    assert is_bearing(pairs).tolist() == [False, True]
+    np.testing.assert_allclose(pairs.points, expected, atol=BACK_PROJECTED_M)
+
+
+def test_a_corner_at_an_edge_of_depth_has_none() -> None:
     """Its depth is either surface's."""
     depth_m = np.full((240, 320), 1.0, np.float32)
-    depth_m[:, 160:] = 1.6
+    depth_m[:, 160:] = 1.3
     columns = np.arange(150.0, 171.0)
     pixels = np.stack([columns, np.full(21, 100.0)], axis=1)
-    alive, pairs = measured(landmarks_at(pixels, lifted(PINHOLE, pixels, np.ones(21))), depth_m)
-    away = (columns < 159) | (columns > 160)
-    np.testing.assert_array_equal(alive.pixels[:, 0], columns[away])
-    np.testing.assert_allclose(pairs.points[:, 2], np.where(columns[away] < 160, 1.0, 1.6))
-
-
-def test_behind_the_camera_there_is_no_measurement() -> None:
-    pixels = np.array([[100.0, 100.0]])
-    behind = lifted(PINHOLE, pixels, np.array([-1.0]))
-    alive, _ = measured(landmarks_at(pixels, behind), np.full((240, 320), 1.0, np.float32))
-    assert len(alive) == 0
+    z = np.where(columns < 160, 1.0, 1.3)
+    pairs = measured(landmarks_at(pixels, lifted(PINHOLE, pixels, z)), depth_m)
+    np.testing.assert_array_equal(is_bearing(pairs), (columns == 159) | (columns == 160))
 
 
 @pytest.mark.parametrize('camera', [PINHOLE, DISTORTED], ids=['pinhole', 'distorted'])
@@ -272,7 +301,7 @@ def test_depth_of_another_instant_is_brought_to_the_colors(
     pixels = np.random.default_rng(13).uniform((40, 40), (280, 200), (60, 2))
     rays = lifted(camera, pixels, np.ones(60))
     true = rays * (-distance_m / (rays @ normal))[:, None]
-    _, pairs = measured(
+    pairs = measured(
         landmarks_at(pixels, to_world(true, T_WORLD_CAM)), depth_m, camera, T_cam_cam_at_depth,
         T_WORLD_CAM,
     )  # fmt: skip
@@ -314,10 +343,25 @@ def test_corners_follow_a_known_flow() -> None:
 def test_corners_that_vanish_are_lost() -> None:
     previous = image_of_blocks(seed=15)
     pixels = np.random.default_rng(16).uniform(40, 200, (50, 2))
-    landmarks = landmarks_at(pixels, lifted(PINHOLE, pixels, np.full(50, 1.5)))
+    landmarks = landmarks_at(pixels, lifted(PINHOLE, pixels, np.full(50, 1.5)), previous)
+    assert len(landmarks.followed(previous, previous, STILL, STILL, PINHOLE, CONFIG)) > 40
     for grey in (np.full_like(previous, 90), image_of_blocks(seed=17)):
         followed = landmarks.followed(previous, grey, STILL, STILL, PINHOLE, CONFIG)
         assert len(followed) < 0.2 * len(landmarks)
+
+
+def test_a_corner_that_slid_along_an_edge_is_lost() -> None:
+    """From image to image it slides a little; the patch it was detected in gives it away."""
+    image = np.full((240, 320), 60, np.uint8)
+    image[100:140, 100:220] = 180
+    image = cv2.GaussianBlur(image, (5, 5), 1.0).astype(np.uint8)
+    pixels = np.array([[100.0, 100.0], [160.0, 100.0]])  # a corner, and a place along an edge
+    born = landmarks_at(pixels, lifted(PINHOLE, pixels, np.full(2, 1.5)), image)
+    for slid in (0.0, 2.0):
+        now = replace(born, pixels=born.pixels + np.array([slid, 0.0], np.float32))
+        followed = now.followed(image, image, STILL, STILL, PINHOLE, CONFIG)
+        kept = followed.targets.points[:, 0].round(6).tolist()
+        assert kept == ([born.targets.points[0, 0].round(6)] if slid == 0.0 else [])
 
 
 def test_nothing_to_follow() -> None:
@@ -325,10 +369,9 @@ def test_nothing_to_follow() -> None:
     none = Landmarks.none()
     assert len(none.followed(previous, previous, STILL, STILL, PINHOLE, CONFIG)) == 0
     pixels = np.array([[100.0, 100.0]])
-    behind = landmarks_at(pixels, lifted(PINHOLE, pixels, np.array([-1.0])))
+    behind = landmarks_at(pixels, lifted(PINHOLE, pixels, np.array([-1.0])), previous)
     assert len(behind.followed(previous, previous, STILL, STILL, PINHOLE, CONFIG)) == 0
-    alive, pairs = measured(none, np.full((240, 320), 1.0, np.float32))
-    assert len(alive) == 0 == len(pairs.points)
+    assert len(measured(none, np.full((240, 320), 1.0, np.float32)).points) == 0
 
 
 def test_seen_from_undoes_the_pose() -> None:

@@ -496,7 +496,7 @@ def test_corners_of_what_moves_are_dropped() -> None:
         on_it = (u > x) & (u < x + PATTERN_PX) & (v > 200) & (v < 200 + PATTERN_PX)
         on_pattern.append(np.count_nonzero(on_it))
     assert not any(result.keyframe for result in results[1:])  # which would find them anew
-    assert on_pattern[0] > 10 and on_pattern[-1] == 0
+    assert on_pattern[0] > 5 and on_pattern[-1] == 0
     assert_true(IDEAL, results)
 
 

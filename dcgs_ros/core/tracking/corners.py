@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Detection of corners that stand out of the image's noise, spread over the image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.stages import LandmarkConfig
+
+# OpenCV's minimal eigenvalue of a 3x3 block where the weakest gradient is 1 grey level per pixel:
+# its Sobel operator has gain 8 and is divided by 4 * 3 * 255.
+_EIGENVALUE = 9.0 * (8.0 / 3060.0) ** 2
+# Its response to white noise has standard deviation 6 (Immerkaer 1996), to a linear ramp zero.
+_LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+_LEAST_NOISE = 0.3  # grey levels: of rounding
+_GRID = (6, 8)  # cells, down and across
+
+
+def corners(
+    grey: NDArray[np.uint8],  # (H, W)
+    taken: NDArray[np.float32],  # (L, 2)
+    wanted: int,
+    config: LandmarkConfig,
+) -> NDArray[np.float32]:
+    """Return Shi-Tomasi corners (N, 2) away from those `taken`, the best of each cell first.
+
+    They are found at half resolution. A corner is one where even the weakest gradient exceeds what
+    the image's noise would make of it: in dim light low contrast is all there is, and on a wall
+    without texture the strongest corners are noise.
+    """
+    if wanted <= 0:
+        return np.empty((0, 2), np.float32)
+    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    strength = cv2.cornerMinEigenVal(half, 3)
+    weakest = config.min_gradient_sigmas * noise(half)
+    reach = config.min_distance_px / 2.0
+    for x, y in np.round(taken / 2.0).astype(int):
+        cv2.circle(strength, (int(x), int(y)), round(reach), 0.0, -1)
+    around = np.ones((2 * round(reach) + 1,) * 2, np.uint8)
+    strength[:2] = strength[-2:] = strength[:, :2] = strength[:, -2:] = 0.0
+    peaks = strength >= np.maximum(cv2.dilate(strength, around), weakest**2 * _EIGENVALUE)
+    y, x = np.nonzero(peaks)
+    order = _by_cell(strength[y, x], y * _GRID[0] // half.shape[0], x * _GRID[1] // half.shape[1])
+    order = order[:wanted]
+    return np.column_stack([x[order], y[order]]).astype(np.float32) * 2.0 + 0.5
+
+
+def noise(grey: NDArray[np.uint8]) -> float:
+    """Return the standard deviation of an image's noise (H, W), grey levels.
+
+    It is the median of the Laplacian of a Laplacian, which little of a scene's structure survives.
+    """
+    response = cv2.filter2D(grey, cv2.CV_32F, _LAPLACIAN)
+    return max(1.4826 * float(np.median(np.abs(response))) / 6.0, _LEAST_NOISE)
+
+
+def spread(pixels: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Return how many of the pixels (N, 2) are in each cell of an image of `shape` (H, W)."""
+    cells = np.floor(pixels[:, ::-1] * np.array(_GRID) / np.array(shape)).astype(np.int64)
+    cells = np.clip(cells, 0, np.array(_GRID) - 1)
+    return np.bincount(cells[:, 0] * _GRID[1] + cells[:, 1], minlength=_GRID[0] * _GRID[1])
+
+
+def _by_cell(
+    strength: NDArray[np.float32], row: NDArray[np.int64], column: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the order (N,): the strongest of each cell, then the second of each, and so on."""
+    cell = row * _GRID[1] + column
+    order = np.lexsort((-strength, cell))
+    first = np.searchsorted(cell[order], cell[order])  # where each one's cell begins
+    rank = np.arange(len(order)) - first
+    return order[np.lexsort((-strength[order], rank))]

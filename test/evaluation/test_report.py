@@ -50,6 +50,7 @@ def tracked(
         T_cam_cam_at_depth=np.eye(4),
         T_world_cam=T_world_cam,
         covariance=np.eye(6),
+        covariance_world=np.eye(6),
         state=state,
         observability=None if kappa is None else spectrum(kappa),
         points=100,

@@ -101,8 +101,9 @@ def test_a_renamed_mapper_hears_the_camera_pose_and_is_heard(make: Make) -> None
     eye._mapper._pass_received = received.append
     brain._outputs.keyframes(None)
     tracked = TrackResult(
-        5, np.eye(4), np.eye(4), np.eye(6), TrackingState.OK, None, 0, 0, 0, False, (), 0.0
-    )
+        5, np.eye(4), np.eye(4), np.eye(6), np.eye(6), TrackingState.OK, None, 0, 0, 0, False, (),
+        0.0,
+    )  # fmt: skip
     outputs = eye._outputs
     spin_until(lambda: outputs._camera_pose.get_subscription_count() > 0, eye, brain)
     outputs.publish(tracked, outputs.camera_to_base('optical'))

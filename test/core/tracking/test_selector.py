@@ -37,8 +37,9 @@ class Frames:
         if stamp_ns:
             self._held.clear()
         result = TrackResult(
-            stamp_ns, pose, motion, np.eye(6), state, None, 100, 100, 50, keyframe, finished, 0.0
-        )
+            stamp_ns, pose, motion, np.eye(6), np.eye(6), state, None, 100, 100, 50, keyframe,
+            finished, 0.0,
+        )  # fmt: skip
         chosen = self.selector.select(frame, result)
         for posed in chosen:
             at = posed.frame.stamp_ns

@@ -28,8 +28,9 @@ def spectrum() -> Observability:
 
 def result_in(state: TrackingState, seen: Observability | None = None) -> TrackResult:
     return TrackResult(
-        1, np.eye(4), np.eye(4), np.eye(6), state, seen, 2000, 1500, 120, False, (), -3.5
-    )
+        1, np.eye(4), np.eye(4), np.eye(6), np.eye(6), state, seen, 2000, 1500, 120, False, (),
+        -3.5,
+    )  # fmt: skip
 
 
 GOOD = result_in(TrackingState.OK, spectrum())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from ..core import se3
-from ..core.tracking.result import TrackingState
+from ..core.tracking.result import TrackingState, TrackResult
 from ..core.trajectory import Trajectory
 from .trajectory import MAX_GAP_NS, EvaluationError, nearest
 
@@ -24,6 +24,47 @@ INTERVAL_NS = 1_000_000_000
 SILENT_ERROR_M = 0.10
 SILENT_SIGMAS = 15.0  # five times the claimed 3 sigma
 _TWO_SIGMA = 0.9545  # share of a Gaussian within 2 sigma of its mean
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What a tracker says of each of N frames, lost ones included."""
+
+    poses: Trajectory  # (N,); that of a lost frame is no estimate
+    states: tuple[TrackingState, ...]
+    covariances: NDArray[np.float64]  # (N, 6, 6) in the map around the camera
+    world_covariances: NDArray[np.float64]  # (N, 6, 6)
+
+    @classmethod
+    def of(cls, results: Sequence[TrackResult]) -> Claims:
+        """Collect the results of a tracker."""
+        stamps = np.array([result.stamp_ns for result in results], np.int64)
+        poses, covariances, world = (
+            np.array([getattr(result, name) for result in results], np.float64).reshape(-1, n, n)
+            for name, n in (('T_world_cam', 4), ('covariance', 6), ('covariance_world', 6))
+        )
+        states = tuple(result.state for result in results)
+        return cls(Trajectory(stamps, poses), states, covariances, world)
+
+    @property
+    def estimated(self) -> NDArray[np.bool_]:
+        """(N,) which frames have an estimated pose: all but lost ones."""
+        return np.array([state is not TrackingState.LOST for state in self.states], np.bool_)
+
+    @property
+    def sigmas_m(self) -> NDArray[np.float64]:
+        """(N,) square roots of the traces of the position's covariances."""
+        return _position_sigmas_m(self.covariances)
+
+    @property
+    def world_sigmas_m(self) -> NDArray[np.float64]:
+        """(N,) the same, in the world."""
+        return _position_sigmas_m(self.world_covariances)
+
+    def trajectory(self) -> Trajectory:
+        """Return the estimated poses."""
+        kept = self.estimated
+        return Trajectory(self.poses.stamps_ns[kept], self.poses.T_world_cam[kept])
 
 
 @dataclass(frozen=True)
@@ -54,9 +95,9 @@ class SilentFrames:
     second is above 10 cm, or above five times the 3 sigma that the frame claims.
     """
 
-    judged: NDArray[np.bool_]  # (N,) `ok`, with truth now and a second before
-    off: NDArray[np.bool_]  # (N,) judged and wrong by more than 10 cm
-    overconfident: NDArray[np.bool_]  # (N,) judged and wrong by more than 15 sigma
+    judged: NDArray[np.bool_]  # (N,) not lost, with truth now and a second before
+    off: NDArray[np.bool_]  # (N,) `ok` and wrong by more than 10 cm
+    overconfident: NDArray[np.bool_]  # (N,) `ok` and wrong by more than 15 sigma
 
     @property
     def silent(self) -> NDArray[np.bool_]:
@@ -128,9 +169,12 @@ def silent_frames(
     motions = _motions(estimate, states, truth)
     errors_m = np.full(len(estimate), np.nan)
     errors_m[motions.end] = np.linalg.norm(motions.error[:, :3, 3], axis=1)
-    judged = np.isfinite(errors_m) & np.array([s is TrackingState.OK for s in states], np.bool_)
-    off = judged & (errors_m > SILENT_ERROR_M)
-    return SilentFrames(judged, off, judged & (errors_m > SILENT_SIGMAS * sigmas_m))
+    sure = np.array([state is TrackingState.OK for state in states], np.bool_)
+    return SilentFrames(
+        judged=np.isfinite(errors_m),
+        off=sure & (errors_m > SILENT_ERROR_M),
+        overconfident=sure & (errors_m > SILENT_SIGMAS * sigmas_m),
+    )
 
 
 def mean_nees_bounds(samples: int, dof: int = 6, confidence: float = 0.95) -> tuple[float, float]:
@@ -153,6 +197,11 @@ def coverage_2sigma(nees: NDArray[np.floating], dof: int = 3) -> float:
     choice of axes; a sphere of radius 2 sqrt(trace) holds between 95.45 and 99.3 %.
     """
     return float(np.mean(nees <= _chi2_quantile(_TWO_SIGMA, dof)))
+
+
+def _position_sigmas_m(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    variances: NDArray[np.float64] = np.trace(covariances[:, :3, :3], axis1=1, axis2=2)
+    return np.sqrt(variances)
 
 
 def _motions(estimate: Trajectory, states: Sequence[TrackingState], truth: Trajectory) -> _Motions:

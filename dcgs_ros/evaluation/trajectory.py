@@ -86,6 +86,22 @@ def nearest(
     return np.where(gap_left <= gap_right, left, right), np.minimum(gap_left, gap_right)
 
 
+def coverage(
+    estimated_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], truth: Trajectory
+) -> float | None:
+    """Return how many of the frames with truth have an estimate, as a share; None without any.
+
+    `stamps_ns` (N,) are of all frames, `estimated_ns` (M,) of those with an estimate.
+    """
+    if not len(truth):
+        return None
+    estimated, frames = (
+        int((nearest(stamps, truth.stamps_ns)[1] <= MAX_GAP_NS).sum())
+        for stamps in (estimated_ns, stamps_ns)
+    )
+    return estimated / frames if frames else None
+
+
 def align_umeyama(
     points: NDArray[np.float64], targets: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -101,6 +101,11 @@ def test_degenerate_is_a_warning_that_names_the_direction() -> None:
     assert verdict.level is Level.WARN and verdict.message.endswith("the camera's y")
 
 
+def test_a_camera_that_was_found_again_is_a_warning_until_it_is_confirmed() -> None:
+    verdict = judge(FINE, result_in(TrackingState.RELOCALISED, spectrum()), False)
+    assert verdict.level is Level.WARN and 'to be confirmed' in verdict.message
+
+
 @given(st.integers(0, 60), st.integers(0, 60))
 def test_what_is_dropped_is_a_warning_beyond_a_few_in_a_hundred(pairs: int, dropped: int) -> None:
     streams = replace(FINE, color=60, depth=60, pairs=60 + pairs, dropped=dropped)

@@ -258,9 +258,12 @@ def test_the_sigma_that_counts_is_the_one_of_the_frame() -> None:
     assert at(found.silent) == [25]
 
 
+@pytest.mark.parametrize(('by_m', 'sigma_m'), [(0.5, 1.0), (0.05, 1e-3)])
 @pytest.mark.parametrize('state', [DEGENERATE, LOST, RELOCALISED])
-def test_a_frame_that_says_so_is_not_silent(state: TrackingState) -> None:
-    found = silent_of(0.5, states={20: state, 21: state})
+def test_a_frame_that_says_so_is_not_silent(
+    state: TrackingState, by_m: float, sigma_m: float
+) -> None:
+    found = silent_of(by_m, sigma_m, states={20: state, 21: state})
     late = [30, 31] if state is LOST else []  # the motion since frame 19 counts
     assert at(found.silent) == JUMP[2:] + late
     assert found.judged[20:22].all() == (state is not LOST)

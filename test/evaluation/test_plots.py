@@ -67,6 +67,12 @@ def test_it_is_a_png_with_the_claimed_band_and_the_states(
     assert path.read_bytes().startswith(b'\x89PNG')
     assert (ate is None) == (truth is None)
     seconds, band = line(drawn[0], -1, 'claimed 2 sigma')
+    spans = [patch.get_extents() for patch in drawn[0].axes[-1].patches]
+    starts = [drawn[0].axes[-1].transData.inverted().transform(span.p0)[0] for span in spans]
+    assert starts == pytest.approx([0.1 * min(lost)] if lost else [])
+    if truth is not None:  # a segment between two estimates each, but not across the loss
+        segments = drawn[0].axes[0].collections[0].get_paths()
+        assert len(segments) == 29 - (len(lost) + 1 if lost else 0)
     estimated = np.isfinite(band)
     np.testing.assert_allclose(band[estimated], 100 * 2 * SIGMA_M)
     assert estimated.sum() == 30 - len(lost)

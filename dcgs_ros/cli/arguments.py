@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -125,12 +126,15 @@ class RunArguments:
 
     camera: Camera = None
 
+    asked_s: float = field(init=False, default_factory=time.perf_counter)  # not an option
+
 
 @dataclass(frozen=True)
 class EvaluateArguments:
     """Compare a trajectory with ground truth, and a run's map with its images.
 
-    Prints ATE (after rigid alignment), RPE over 1 s, and PSNR, SSIM and LPIPS of the map.
+    Prints ATE (after rigid alignment), RPE over 1 s, silent frames (state ok, but wrong by more
+    than 10 cm or 15 claimed sigma over the last second), and PSNR, SSIM and LPIPS of the map.
     """
 
     estimate: Annotated[Positional[Path], arg(metavar='RUN|TRAJECTORY')]

@@ -6,25 +6,30 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..core.kernels.workers import Workers, cores
 from ..core.render import make_renderer
 from ..core.trajectory import Trajectory
 from ..datasets.open import open_source
 from ..datasets.source import Source
+from ..evaluation.consistency import silent_frames
 from ..evaluation.report import Accuracy, accuracy_report, assess, with_rendering
 from ..evaluation.scoring import score_map
-from ..evaluation.trajectory import EvaluationError
+from ..evaluation.trajectory import EvaluationError, coverage
 from ..io.map_archive import MapFileError, read_map
 from ..io.trajectory import read_tum
 from .arguments import EvaluateArguments, UsageError
+from .frames_file import FrameClaims, read_frames
 from .tables import accuracy_rows, rendering_rows, table
 
 
 def execute(arguments: EvaluateArguments) -> int:
-    """Print ATE and RPE, and the rendering scores of a run; return the exit status."""
+    """Print a trajectory's errors, and a run's claims and rendering; return the exit status."""
     if arguments.estimate.is_dir():
         return _evaluate_run(arguments)
     if arguments.groundtruth is None:
@@ -49,7 +54,9 @@ def _evaluate_run(arguments: EvaluateArguments) -> int:
     truth = source.groundtruth
     if arguments.groundtruth is not None:
         truth = read_tum(arguments.groundtruth)
-    accuracy = assess(estimate, truth)
+    accuracy, frames = assess(estimate, truth), folder / 'frames.csv'
+    if truth is not None and frames.exists():
+        accuracy = _with_claims(accuracy, estimate, read_frames(frames), truth)
     path = folder / 'map.dcgs'
     rendering = _rendering(path, estimate, source, every) if every and path.exists() else None
     if arguments.json:
@@ -75,6 +82,21 @@ def _source(arguments: EvaluateArguments) -> Source:
     return open_source(address, arguments.camera or report.get('camera'))
 
 
+def _with_claims(
+    accuracy: Accuracy, estimate: Trajectory, frames: FrameClaims, truth: Trajectory
+) -> Accuracy:
+    """Add what frames.csv allows: coverage and silent frames. NEES needs whole covariances."""
+    _, own, theirs = np.intersect1d(estimate.stamps_ns, frames.stamps_ns, return_indices=True)
+    poses = Trajectory(estimate.stamps_ns[own], estimate.T_world_cam[own])
+    states = [frames.states[k] for k in theirs]
+    silent = silent_frames(poses, states, frames.sigmas_m[theirs], truth)
+    return replace(
+        accuracy,
+        coverage=coverage(estimate.stamps_ns, frames.all_ns, truth),
+        silent=silent if silent.judged.any() else None,
+    )
+
+
 def _rendering(path: Path, estimate: Trajectory, source: Source, every: int) -> dict[str, Any]:
     """Return the part `rendering` of a report. Raises `MapFileError` that names the file."""
     saved = read_map(path)
@@ -88,7 +110,7 @@ def _rendering(path: Path, estimate: Trajectory, source: Source, every: int) -> 
 
 
 def _report(accuracy: Accuracy) -> dict[str, Any]:
-    """Return ATE and RPE as in a report, with the numbers of poses and of matched poses."""
+    """Return the errors as in a report, with the numbers of poses and of matched poses."""
     ate = accuracy.ate
     counts = {} if ate is None else {'poses': ate.poses, 'matched': ate.matched}
     return {**counts, **accuracy_report(accuracy)}

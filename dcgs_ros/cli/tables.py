@@ -8,6 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..evaluation.consistency import MotionNees, SilentFrames, coverage_2sigma
 from ..evaluation.report import Accuracy
 
 Row = tuple[str, str]
@@ -33,6 +36,7 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
     offset_ms = report['timing']['colour_depth_offset_ms']
     rows = [
         ('frames', _counts(report)),
+        ('states', _states(report['states'])),
         *accuracy_rows(accuracy),
         (
             'tracking',
@@ -41,8 +45,8 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
         ),
         (
             'wall time',
-            f'{report["wall_s"]:.1f} s, decoding included: '
-            f'{report["realtime_factor"]:.2f} x real time',
+            f'{report["wall_s"]:.1f} s in all; frames in {report["frames_s"]:.1f} s, decoding and '
+            f'mapping included: {report["realtime_factor"]:.2f} x real time',
         ),
         ('depth offset', f'{offset_ms:+.1f} ms, of depth against its stamp'),
         ('Gaussians', f'{report["mapping"]["gaussians"]}'),
@@ -57,15 +61,15 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
 
 
 def accuracy_rows(accuracy: Accuracy) -> list[Row]:
-    """Return the rows of ATE and RPE, or of the reasons why they were not computed."""
+    """Return the rows of ATE, RPE, NEES and silent frames, or why they were not computed."""
     ate, rpe = accuracy.ate, accuracy.rpe_1s
-    return [
+    rows = [
         (
             'ATE',
             f'not computed: {accuracy.why_no_ate}'
             if ate is None
             else f'{ate.rmse_cm:.2f} cm RMSE; {ate.mean_cm:.2f} mean, {ate.median_cm:.2f} median, '
-            f'{ate.max_cm:.2f} max ({ate.matched} of {ate.poses} poses)',
+            f'{ate.max_cm:.2f} max ({ate.matched} of {ate.poses} poses{_covered(accuracy)})',
         ),
         (
             'RPE over 1 s',
@@ -75,6 +79,43 @@ def accuracy_rows(accuracy: Accuracy) -> list[Row]:
             f'({rpe.pairs} pairs)',
         ),
     ]
+    if accuracy.nees is not None:
+        rows += _nees_rows(accuracy.nees)
+    if accuracy.silent is not None:
+        rows.append(('silent frames', _silent(accuracy.silent)))
+    return rows
+
+
+def _covered(accuracy: Accuracy) -> str:
+    share = accuracy.coverage
+    return '' if share is None else f'; {share:.1%} of the frames with truth'
+
+
+def _nees_rows(nees: MotionNees) -> list[Row]:
+    """Return the rows of NEES, each with what it is for a consistent tracker."""
+    low, high = nees.mean_bounds()
+    translation, rotation = (coverage_2sigma(v) for v in (nees.translation, nees.rotation))
+    return [
+        (
+            'NEES over 1 s',
+            f'{np.median(nees.values):.1f} median (ideal 5.3), {np.mean(nees.values):.1f} mean '
+            f'({low:.1f} to {high:.1f})',
+        ),
+        (
+            '  2 sigma',
+            f'{translation:.0%} of translations, {rotation:.0%} of rotations within (ideal 95%)',
+        ),
+    ]
+
+
+def _silent(silent: SilentFrames) -> str:
+    reasons = ''
+    if silent.count:
+        reasons = (
+            f' ({silent.off.sum()} more than 10 cm off in a second, '
+            f'{silent.overconfident.sum()} more than 15 claimed sigma)'
+        )
+    return f'{silent.count} of {silent.judged.sum()}{reasons}'
 
 
 def rendering_rows(rendering: dict[str, Any] | None) -> list[Row]:
@@ -107,11 +148,19 @@ def _mapping(mapping: dict[str, Any]) -> str:
 
 
 def _counts(report: dict[str, Any]) -> str:
-    degenerate = f' ({report["degenerate"]} degenerate)' if report['degenerate'] else ''
     dropped = f' ({report["dropped"]} dropped)' if report['dropped'] else ''
     return (
-        f'{report["frames"]}: {report["tracked"]} tracked{degenerate}, {report["lost"]} lost, '
+        f'{report["frames"]}: {report["tracked"]} tracked, {report["lost"]} lost, '
         f'{report["skipped"]} skipped{dropped}; {report["keyframes"]} keyframes'
+    )
+
+
+def _states(states: dict[str, Any]) -> str:
+    """Return the number of frames in each state that occurred, and the longest stretch of it."""
+    return ', '.join(
+        f'{name} {state["frames"]} (longest {state["longest_s"]:.2f} s)'
+        for name, state in states.items()
+        if state['frames']
     )
 
 

@@ -15,11 +15,23 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ..core.tracking.result import TrackingState
 from ..core.trajectory import Trajectory
+from .consistency import Claims
+from .states import stretches
 from .trajectory import AteResult, absolute_trajectory_error
 
 _PATH_COLOR = '#1f5fa8'
 _TRUTH_COLOR = '0.55'
+_CLAIM_COLOR = '#e07b00'
+_STATE_COLORS = {
+    TrackingState.DEGENERATE: '#d4a200',
+    TrackingState.LOST: '#c0392b',
+    TrackingState.RELOCALISED: '#8e44ad',
+}
+_SIGMAS = 2.0  # of the band
+_BAND_LIMIT = 2.0  # times the largest error: more of the band is not shown
+_LEAST_TOP_CM = 0.1  # of the axis, for a band that is zero
 
 
 class _Orthographic(NamedTuple):
@@ -32,30 +44,29 @@ class _Orthographic(NamedTuple):
 
 
 def plot_trajectory(
-    path: Path | str, estimate: Trajectory, truth: Trajectory | None = None, title: str = ''
+    path: Path | str, claims: Claims, truth: Trajectory | None = None, title: str = ''
 ) -> AteResult | None:
-    """Plot the path from above and from the side, and its error over time, as a PNG.
+    """Plot the path from above and from the side, and error and claims over time, as a PNG.
 
-    With `truth` the estimate is aligned to it and coloured by its error, and the ATE is returned;
-    without, only the path is drawn. Raises `EvaluationError` as `absolute_trajectory_error` does.
+    States other than `ok` are marked. Lost frames, of which there is no estimate, leave a gap in
+    the path. With `truth` the estimate is aligned to it and coloured by its error, and the ATE is
+    returned. At least one frame is not lost. Raises `EvaluationError` as
+    `absolute_trajectory_error` does.
     """
+    estimate = claims.trajectory()
     ate = None if truth is None else absolute_trajectory_error(estimate, truth)
-    figure = Figure(figsize=(10.0, 8.0 if ate else 5.2), dpi=120, layout='constrained')
+    figure = Figure(figsize=(10.0, 8.0), dpi=120, layout='constrained')
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=12, fontweight='bold')
-    if truth is None or ate is None:
-        axes = figure.subplots(1, 2)
-        poses = estimate.T_world_cam
-    else:
-        grid = figure.add_gridspec(2, 2, height_ratios=(2.2, 1.0))
-        axes = [figure.add_subplot(grid[0, k]) for k in (0, 1)]
-        poses = ate.T_truth_estimate @ estimate.T_world_cam
-        _draw_error(figure.add_subplot(grid[1, :]), ate)
+    grid = figure.add_gridspec(2, 2, height_ratios=(2.2, 1.0))
+    axes = [figure.add_subplot(grid[0, k]) for k in (0, 1)]
+    poses = estimate.T_world_cam if ate is None else ate.T_truth_estimate @ estimate.T_world_cam
     for ax, view in zip(axes, _views(poses), strict=True):
-        _draw_view(ax, view, poses, estimate, truth, ate)
+        _draw_view(ax, view, poses, claims, truth, ate)
     if ate:
         figure.colorbar(axes[1].collections[0], ax=axes[1], label='error (cm)', shrink=0.8)
     axes[0].legend(loc='best', fontsize=8, framealpha=0.8)
+    _draw_over_time(figure.add_subplot(grid[1, :]), claims, ate)
     figure.savefig(path)
     return ate
 
@@ -84,22 +95,28 @@ def _draw_view(
     ax: Axes,
     view: _Orthographic,
     poses: NDArray[np.float64],
-    estimate: Trajectory,
+    claims: Claims,
     truth: Trajectory | None,
     ate: AteResult | None,
 ) -> None:
-    """Draw truth, estimate, start and end in one view."""
-    flat = poses[:, [view.right, view.up], 3]
+    """Draw truth, estimate, states, start and end in one view; `poses` (N, 4, 4) are estimated."""
+    flat, stamps = poses[:, [view.right, view.up], 3], claims.trajectory().stamps_ns
     if truth is None or ate is None:
-        ax.plot(*flat.T, color=_PATH_COLOR, linewidth=1.6, label='estimate')
+        ax.plot(
+            *_broken(claims, stamps, *flat.T)[1:],
+            color=_PATH_COLOR,
+            linewidth=1.6,
+            label='estimate',
+        )
     else:
-        first, last = np.searchsorted(truth.stamps_ns, estimate.stamps_ns[[0, -1]])
+        first, last = np.searchsorted(truth.stamps_ns, stamps[[0, -1]])
         during = slice(first, last + 1)
         true = truth.T_world_cam[during][:, [view.right, view.up], 3]
         ax.plot(*true.T, color=_TRUTH_COLOR, linewidth=3.0, alpha=0.6, label='truth')
-        ax.add_collection(_colored_path(flat, estimate, ate))
+        ax.add_collection(_colored_path(flat, claims, ate))
+    _mark_states(ax, flat, claims)
     ax.plot(*flat[0], 'o', color='#2a9d3f', markersize=6, label='start', zorder=5)
-    ax.plot(*flat[-1], 's', color='#c0392b', markersize=6, label='end', zorder=5)
+    ax.plot(*flat[-1], 's', color='0.15', markersize=6, label='end', zorder=5)
     ax.set(title=view.title, xlabel=f'{"xyz"[view.right]} (m)', ylabel=f'{"xyz"[view.up]} (m)')
     ax.set_aspect('equal', adjustable='datalim')
     ax.margins(0.08)
@@ -108,37 +125,97 @@ def _draw_view(
     ax.grid(alpha=0.25)
 
 
-def _colored_path(
-    flat: NDArray[np.float64], estimate: Trajectory, ate: AteResult
-) -> LineCollection:
+def _mark_states(ax: Axes, flat: NDArray[np.float64], claims: Claims) -> None:
+    """Draw a dot at each frame that is not `ok`, and a cross where the camera was lost."""
+    place = np.maximum(np.cumsum(claims.estimated) - 1, 0)  # of lost frames: of the last estimate
+    for state, color in _STATE_COLORS.items():
+        frames = [k for k, found in enumerate(claims.states) if found is state]
+        if not frames:
+            continue
+        where, lost = flat[np.unique(place[frames])], state is TrackingState.LOST
+        marker, size, width = ('X', 9, 1.0) if lost else ('o', 4, 0.0)
+        ax.plot(
+            *where.T, marker, color=color, markersize=size, markeredgecolor='white',
+            markeredgewidth=width, label=f'{state.value} ({len(frames)} frames)',
+            zorder=6 if lost else 4,
+        )  # fmt: skip
+
+
+def _colored_path(flat: NDArray[np.float64], claims: Claims, ate: AteResult) -> LineCollection:
     """Colour the path (N, 2) by its error, interpolated for poses without truth."""
-    errors_cm = 100 * np.interp(estimate.stamps_ns, ate.stamps_ns, ate.errors_m)
+    stamps = claims.trajectory().stamps_ns
+    errors_cm = 100 * np.interp(stamps, ate.stamps_ns, ate.errors_m)
+    joined = ~_lost_between(claims, stamps)
     lines = LineCollection(
-        list(np.stack([flat[:-1], flat[1:]], axis=1)),
+        list(np.stack([flat[:-1], flat[1:]], axis=1)[joined]),
         cmap='plasma',
         norm=Normalize(0.0, max(ate.max_cm, 1e-9)),
         linewidth=1.8,
         label='estimate',
         zorder=3,
     )
-    lines.set_array(0.5 * (errors_cm[:-1] + errors_cm[1:]))
+    lines.set_array((0.5 * (errors_cm[:-1] + errors_cm[1:]))[joined])
     return lines
 
 
-def _draw_error(ax: Axes, ate: AteResult) -> None:
-    """Plot the error of each pose over time."""
-    seconds = (ate.stamps_ns - ate.stamps_ns[0]) * 1e-9
-    errors_cm = 100 * ate.errors_m
-    ax.fill_between(seconds, errors_cm, color=_PATH_COLOR, alpha=0.15, linewidth=0)
-    ax.plot(seconds, errors_cm, color=_PATH_COLOR, linewidth=1.3)
-    ax.axhline(ate.rmse_cm, color='#c0392b', linewidth=1.0, linestyle='--', label='RMSE')
-    ax.legend(loc='upper right', fontsize=8, framealpha=0.8)
+def _draw_over_time(ax: Axes, claims: Claims, ate: AteResult | None) -> None:
+    """Plot the error of each pose, what is claimed of it, and the states, over time."""
+    stamps = claims.poses.stamps_ns
+    kept = claims.estimated
+    band_cm = 100 * _SIGMAS * claims.world_sigmas_m[kept]
+    top_cm = float(band_cm.max())
+    if ate is not None:
+        top_cm = max(ate.max_cm, min(top_cm, _BAND_LIMIT * ate.max_cm))
+    _draw_spans(ax, claims)
+    seconds, band = _broken(claims, stamps[kept], band_cm)
+    ax.fill_between(seconds, band, color=_CLAIM_COLOR, alpha=0.25, linewidth=0)
+    ax.plot(
+        seconds, band, color=_CLAIM_COLOR, linewidth=0.8,
+        label='claimed 2 sigma of the position in the world',
+    )  # fmt: skip
+    if ate is not None:
+        seconds, errors = _broken(claims, ate.stamps_ns, 100 * ate.errors_m)
+        ax.plot(seconds, errors, color=_PATH_COLOR, linewidth=1.4, label='error, aligned')
+        ax.axhline(ate.rmse_cm, color='0.3', linewidth=1.0, linestyle='--', label='RMSE')
+        ax.set_title(
+            f'ATE RMSE {ate.rmse_cm:.2f} cm (mean {ate.mean_cm:.2f}, median {ate.median_cm:.2f}, '
+            f'max {ate.max_cm:.2f}; {ate.matched} poses of {len(stamps)} frames)'
+        )
+    ax.legend(loc='upper left', fontsize=8, framealpha=0.8, ncols=6)
     ax.set(
-        title=f'ATE RMSE {ate.rmse_cm:.2f} cm (mean {ate.mean_cm:.2f}, median '
-        f'{ate.median_cm:.2f}, max {ate.max_cm:.2f}; {ate.matched} of {ate.poses} poses)',
         xlabel='time (s)',
-        ylabel='error (cm)',
-        xlim=(0.0, max(float(seconds[-1]), 1e-9)),
-        ylim=(0.0, 1.08 * max(ate.max_cm, 1e-9)),
+        ylabel='cm',
+        xlim=(0.0, max(1e-9 * float(stamps[-1] - stamps[0]), 1e-9)),
+        ylim=(0.0, 1.25 * max(top_cm, _LEAST_TOP_CM)),  # room for the legend
     )
     ax.grid(alpha=0.25)
+
+
+def _draw_spans(ax: Axes, claims: Claims) -> None:
+    """Colour the time in which the state was not `ok`."""
+    start_ns, named = claims.poses.stamps_ns[0], set()
+    for stretch in stretches(claims.poses.stamps_ns, claims.states):
+        if stretch.state in _STATE_COLORS:
+            ends = (1e-9 * (t - start_ns) for t in (stretch.start_ns, stretch.end_ns))
+            color, name = _STATE_COLORS[stretch.state], stretch.state.value
+            label = '_' if name in named else name
+            ax.axvspan(*ends, color=color, alpha=0.25, linewidth=1.0, label=label, zorder=0)
+            named.add(name)
+
+
+def _broken(
+    claims: Claims, stamps_ns: NDArray[np.int64], *columns: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Return seconds since the first frame and columns (N,), with NaN where the camera was lost.
+
+    A line through them has gaps there.
+    """
+    seconds = 1e-9 * (stamps_ns - claims.poses.stamps_ns[0])
+    gaps = np.flatnonzero(_lost_between(claims, stamps_ns)) + 1
+    return [np.insert(np.asarray(c, np.float64), gaps, np.nan) for c in (seconds, *columns)]
+
+
+def _lost_between(claims: Claims, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return (N - 1,) whether the camera was lost between two of the stamps (N,)."""
+    lost_ns = claims.poses.stamps_ns[~claims.estimated]
+    return np.diff(np.searchsorted(lost_ns, stamps_ns)) > 0

@@ -6,19 +6,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..core.tracking.result import TrackingState, TrackResult
+from ..core.tracking.result import TrackResult
 from ..core.trajectory import Trajectory
+from .consistency import (
+    Claims,
+    MotionNees,
+    SilentFrames,
+    coverage_2sigma,
+    motion_nees,
+    silent_frames,
+)
 from .rendering import ViewScores, rendering_report
+from .states import states_report
 from .trajectory import (
     AteResult,
     EvaluationError,
     RpeResult,
     absolute_trajectory_error,
+    coverage,
     relative_pose_error,
 )
 
@@ -54,33 +65,48 @@ class RunRecord:
     camera: str | None = None  # as the user gave it
     tracked: list[TrackedFrame] = field(default_factory=list)
     skipped: list[SkippedFrame] = field(default_factory=list)
-    wall_s: float = 0.0  # from asking for the first frame to the end of the last, with decoding
+    wall_s: float = 0.0  # all that the user waited for: start, frames, refining, files, scores
+    frames_s: float = 0.0  # from asking for the first frame to the end of the last, with decoding
     interrupted: bool = True  # False once the last frame is done; True again if refining is cut
     gaussians: int | None = None  # in the mapper's map at the end; None: the run only tracked
     iterations: int = 0  # optimisation steps of the mapper
     mapping_s: float = 0.0  # time of the mapper alone
 
     def trajectory(self) -> Trajectory:
-        """Return the poses of all tracked frames; a lost one has the last good pose."""
-        return _trajectory(self.tracked)
+        """Return the poses of all frames but lost ones, whose pose is no estimate."""
+        return self.claims().trajectory()
+
+    def claims(self) -> Claims:
+        """Return what the tracker says of each frame."""
+        return Claims.of([frame.result for frame in self.tracked])
+
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return the stamps (N,) of all frames that have one, skipped ones included."""
+        stamps = [frame.result.stamp_ns for frame in self.tracked]
+        stamps += [frame.stamp_ns for frame in self.skipped if frame.stamp_ns is not None]
+        return np.array(sorted(stamps), dtype=np.int64)
 
     def keyframes(self) -> Trajectory:
         """Return the poses of the keyframes as they were tracked."""
-        return _trajectory([frame for frame in self.tracked if frame.result.keyframe])
+        keyframes = [frame.result for frame in self.tracked if frame.result.keyframe]
+        return Claims.of(keyframes).poses
 
-    def count(self, *states: TrackingState) -> int:
-        """Return the number of frames in any of these states."""
-        return sum(frame.result.state in states for frame in self.tracked)
+
+_NO_TRUTH = 'there is no ground truth'
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """ATE and RPE of a trajectory, each None with a reason if it was not computed."""
+    """Errors of a trajectory and of what is claimed of it, each None if it was not computed."""
 
     ate: AteResult | None = None
     rpe_1s: RpeResult | None = None
-    why_no_ate: str = 'there is no ground truth'
-    why_no_rpe: str = 'there is no ground truth'
+    coverage: float | None = None  # share of the frames with truth that the ATE is over
+    nees: MotionNees | None = None
+    silent: SilentFrames | None = None
+    why_no_ate: str = _NO_TRUTH
+    why_no_rpe: str = _NO_TRUTH
+    why_no_nees: str = _NO_TRUTH
 
 
 def assess(estimate: Trajectory, truth: Trajectory | None) -> Accuracy:
@@ -97,33 +123,54 @@ def assess(estimate: Trajectory, truth: Trajectory | None) -> Accuracy:
         return Accuracy(ate, why_no_rpe=str(error))
 
 
+def assess_run(record: RunRecord, truth: Trajectory | None) -> Accuracy:
+    """Return the errors of a run, and how far they agree with what the tracker claims."""
+    accuracy, claims = assess(record.trajectory(), truth), record.claims()
+    if truth is None:
+        return accuracy
+    silent = silent_frames(claims.poses, claims.states, claims.sigmas_m, truth)
+    accuracy = replace(
+        accuracy,
+        coverage=coverage(record.trajectory().stamps_ns, record.stamps_ns(), truth),
+        silent=silent if silent.judged.any() else None,
+    )
+    try:
+        nees = motion_nees(claims.poses, claims.states, claims.covariances, truth)
+    except EvaluationError as error:
+        return replace(accuracy, why_no_nees=str(error))
+    return replace(accuracy, nees=nees)
+
+
 def build_report(
     record: RunRecord, accuracy: Accuracy, machine: str, peak_rss_mb: float | None, version: str
 ) -> dict[str, Any]:
     """Return report.json of a run with at least one tracked frame; non-finite values are None.
 
-    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes `degenerate`, `skipped` includes
-    `dropped`. `tracking` covers only the time inside `track` and the exchange with the mapper;
-    `wall_s` also covers decoding and the mapper's steps between frames. Neither covers the start,
-    the steps after the last frame, and writing. `realtime_factor` is the duration of the sequence
-    over `wall_s`. `iterations_per_s` is over the mapper's own time. `rendering` is None until
-    `with_rendering`.
+    `frames` = `tracked` + `lost` + `skipped`; `tracked` includes `degenerate` and `relocalised`,
+    `skipped` includes `dropped`. `ate` is over the tracked frames with truth, `coverage` is their
+    share of all frames with truth. `tracking` covers only the time inside `track` and the exchange
+    with the mapper; `frames_s` also covers decoding and the mapper's steps between frames, and
+    `realtime_factor` is the duration of the sequence over it. `wall_s` covers all from the command
+    to the last file: the start, the steps after the last frame, writing and scoring too.
+    `iterations_per_s` is over the mapper's own time. `rendering` is None until `with_rendering`.
     """
-    stamps = [record.tracked[k].result.stamp_ns for k in (0, -1)]
-    last = record.tracked[-1]
+    claims, last = record.claims(), record.tracked[-1]
+    stamps = claims.poses.stamps_ns
+    states = states_report(stamps, claims.states)
     report = {
         'source': record.source,
         'address': record.address,
         'camera': record.camera,
         'ablation': record.ablation,
         'frames': len(record.tracked) + len(record.skipped),
-        'tracked': record.count(TrackingState.OK, TrackingState.DEGENERATE),
-        'degenerate': record.count(TrackingState.DEGENERATE),
-        'lost': record.count(TrackingState.LOST),
+        'tracked': int(claims.estimated.sum()),
+        'degenerate': states['degenerate']['frames'],
+        'lost': states['lost']['frames'],
         'skipped': len(record.skipped),
         'dropped': sum(frame.dropped for frame in record.skipped),
         'keyframes': sum(frame.result.keyframe for frame in record.tracked),
         'interrupted': record.interrupted,
+        'states': states,
         'tracking': _speed(record),
         **accuracy_report(accuracy),
         'mapping': _mapping(record),
@@ -131,7 +178,8 @@ def build_report(
         'timing': {'colour_depth_offset_ms': last.result.colour_depth_offset_ms},
         'observability': _observability(record),
         'wall_s': record.wall_s,
-        'realtime_factor': (stamps[1] - stamps[0]) * 1e-9 / max(record.wall_s, 1e-9),
+        'frames_s': record.frames_s,
+        'realtime_factor': float(stamps[-1] - stamps[0]) * 1e-9 / max(record.frames_s, 1e-9),
         'peak_rss_mb': peak_rss_mb,
         'machine': machine,
         'version': version,
@@ -147,24 +195,34 @@ def with_rendering(report: dict[str, Any], scores: Sequence[ViewScores]) -> dict
     return {**report, 'rendering': _finite(rendering)}
 
 
-def accuracy_report(accuracy: Accuracy) -> dict[str, dict[str, float] | None]:
-    """Return the parts `ate` and `rpe_1s` of a report."""
+def accuracy_report(accuracy: Accuracy) -> dict[str, Any]:
+    """Return the parts `ate`, `rpe_1s`, `nees` and `silent_frames` of a report."""
     ate, rpe = accuracy.ate, accuracy.rpe_1s
     keys = ('rmse_cm', 'mean_cm', 'median_cm', 'max_cm')
     return {
-        'ate': None if ate is None else {key: getattr(ate, key) for key in keys},
+        'ate': None
+        if ate is None
+        else {key: getattr(ate, key) for key in keys} | {'coverage': accuracy.coverage},
         'rpe_1s': None
         if rpe is None
         else {'trans_rmse_cm': rpe.trans_rmse_cm, 'rot_rmse_deg': rpe.rot_rmse_deg},
+        'nees': None if accuracy.nees is None else _nees(accuracy.nees),
+        'silent_frames': None if accuracy.silent is None else accuracy.silent.count,
     }
 
 
-def _trajectory(frames: list[TrackedFrame]) -> Trajectory:
-    poses = np.array([frame.result.T_world_cam for frame in frames], dtype=np.float64)
-    return Trajectory(
-        np.array([frame.result.stamp_ns for frame in frames], dtype=np.int64),
-        poses.reshape(-1, 4, 4),
-    )
+def _nees(nees: MotionNees) -> dict[str, Any]:
+    return {
+        'median': float(np.median(nees.values)),
+        'mean': float(np.mean(nees.values)),
+        'mean_bounds_95': list(nees.mean_bounds()),
+        'translation_median': float(np.median(nees.translation)),
+        'rotation_median': float(np.median(nees.rotation)),
+        'coverage_2sigma_translation': coverage_2sigma(nees.translation),
+        'coverage_2sigma_rotation': coverage_2sigma(nees.rotation),
+        'motions': len(nees.values),
+        'independent_motions': nees.independent,
+    }
 
 
 def _speed(record: RunRecord) -> dict[str, float]:

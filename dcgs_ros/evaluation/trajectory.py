@@ -60,13 +60,7 @@ def associate(
     # As in evo: of two equally long trajectories the estimate counts as the shorter one.
     estimate_is_shorter = len(estimate) <= len(truth)
     short, long = (estimate, truth) if estimate_is_shorter else (truth, estimate)
-    right = np.clip(np.searchsorted(long.stamps_ns, short.stamps_ns), 1, max(len(long) - 1, 1))
-    left = right - 1
-    right = np.minimum(right, len(long) - 1)
-    gap_left = np.abs(short.stamps_ns - long.stamps_ns[left])
-    gap_right = np.abs(long.stamps_ns[right] - short.stamps_ns)
-    nearest = np.where(gap_left <= gap_right, left, right)
-    gaps = np.minimum(gap_left, gap_right)
+    matches, gaps = nearest(short.stamps_ns, long.stamps_ns)
     kept = np.flatnonzero(gaps <= max_gap_ns)
     if len(kept) < MIN_MATCHES:
         raise EvaluationError(
@@ -74,7 +68,38 @@ def associate(
             f'{MIN_MATCHES}: smallest gap {gaps.min() / 1e6:.0f} ms, '
             f'largest {gaps.max() / 1e6:.0f} ms'
         )
-    return (kept, nearest[kept]) if estimate_is_shorter else (nearest[kept], kept)
+    return (kept, matches[kept]) if estimate_is_shorter else (matches[kept], kept)
+
+
+def nearest(
+    stamps_ns: NDArray[np.int64], others_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return for each of `stamps_ns` (N,) the index of the nearest of `others_ns`, and the gap.
+
+    Of two equally near the earlier one. `others_ns` (M,) increase, and are not empty.
+    """
+    right = np.clip(np.searchsorted(others_ns, stamps_ns), 1, max(len(others_ns) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(others_ns) - 1)
+    gap_left = np.abs(stamps_ns - others_ns[left])
+    gap_right = np.abs(others_ns[right] - stamps_ns)
+    return np.where(gap_left <= gap_right, left, right), np.minimum(gap_left, gap_right)
+
+
+def coverage(
+    estimated_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], truth: Trajectory
+) -> float | None:
+    """Return how many of the frames with truth have an estimate, as a share; None without any.
+
+    `stamps_ns` (N,) are of all frames, `estimated_ns` (M,) of those with an estimate.
+    """
+    if not len(truth):
+        return None
+    estimated, frames = (
+        int((nearest(stamps, truth.stamps_ns)[1] <= MAX_GAP_NS).sum())
+        for stamps in (estimated_ns, stamps_ns)
+    )
+    return estimated / frames if frames else None
 
 
 def align_umeyama(

@@ -31,6 +31,9 @@ SMALL_ROOM = (
 )  # fmt: skip
 
 
+WALL = ('--set', 'cloud.stride_px=2', 'keyframes.spawn_stride_px=2')  # sampling for 64x48 pixels
+
+
 @dataclass(frozen=True)
 class Run:
     """Exit status, output and folder of `dcgs run`."""
@@ -55,6 +58,14 @@ class Run:
     def frames(self) -> list[dict[str, str]]:
         with (self.folder / 'frames.csv').open(newline='') as file:
             return list(csv.DictReader(file))
+
+
+def held_still(folder: Path) -> Path:
+    """Give all frames of a `tum_folder` the depth of its first one: a camera before a wall."""
+    first = (folder / 'depth' / '0.png').read_bytes()
+    for path in (folder / 'depth').iterdir():
+        path.write_bytes(first)
+    return folder
 
 
 def run_into(folder: Path, *words: str) -> Run:

@@ -15,7 +15,10 @@ import pytest
 from running import (  # type: ignore[import-not-found]
     SMALL_ADDRESS,
     SMALL_FRAMES,
+    SMALL_ROOM,
+    WALL,
     Run,
+    held_still,
     run_into,
 )
 
@@ -89,10 +92,33 @@ def test_rendering_can_be_left_out(mapped: Run, capsys: pytest.CaptureFixture[st
 def test_a_run_that_only_tracked_has_an_ate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    done = run_into(tmp_path / 'run', SMALL_ADDRESS, '--no-mapping', '--max-frames', '5')
+    done = run_into(tmp_path / 'run', *SMALL_ROOM, '--no-mapping', '--max-frames', '5')
     found = found_in(done.folder, capsys)
     assert found['rendering'] is None
     assert found['poses'] == 5
+
+
+def test_coverage_and_silent_frames_come_from_the_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ('synthetic:room?frames=40', '--no-mapping', '--set', 'cloud.stride_px=4')
+    done = run_into(tmp_path / 'run', *words)
+    found, path = found_in(done.folder, capsys), done.folder / 'frames.csv'
+    assert found['silent_frames'] == done.report()['silent_frames'] == 0
+    assert found['ate']['coverage'] == 1.0
+    assert found['nees'] is None
+    lines = path.read_text().splitlines()
+    k = lines[0].split(',').index('sigma_translation_m')
+    cells = [line.split(',') for line in lines]
+    sure = [','.join([*row[:k], '1e-9', *row[k + 1 :]]) for row in cells[1:]]
+    path.write_text('\n'.join([lines[0], *sure, f'40,1.9,skipped{"," * len(cells[0])}']))
+    found = found_in(done.folder, capsys)
+    assert found['silent_frames'] == 10  # those that end a second
+    assert main(['evaluate', str(done.folder)]) == 0
+    assert '10 of 10 (0 more than 10 cm off' in capsys.readouterr().out
+    path.write_text(f'{lines[0]}\n0,0.1,asleep\n')
+    assert main(['evaluate', str(done.folder)]) == 2
+    assert f"{path}:2: 'asleep' is not a valid" in capsys.readouterr().err
 
 
 def test_source_and_ground_truth_may_be_given(
@@ -111,8 +137,8 @@ def test_source_and_ground_truth_may_be_given(
 def test_the_camera_of_the_run_is_remembered(
     tum_folder: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = str(tum_folder(name='nameless', frames=5))
-    done = run_into(tmp_path / 'run', folder, '--camera', SMALL, '--no-mapping')
+    folder = str(held_still(tum_folder(name='nameless', frames=5)))
+    done = run_into(tmp_path / 'run', folder, '--camera', SMALL, '--no-mapping', *WALL)
     assert (done.report()['address'], done.report()['camera']) == (folder, SMALL)
     assert found_in(done.folder, capsys)['poses'] == 5
 

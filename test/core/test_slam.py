@@ -51,8 +51,8 @@ class FakeTracker:
             self.held.append(Keyframe(frame, np.eye(4), np.eye(4), ids, points, points))
         finished = self.flush() if stamp_ns else ()
         result = TrackResult(
-            stamp_ns, np.eye(4), np.eye(4), np.eye(6), state, None, 100, 100, 50, keyframe,
-            finished, 0.0,
+            stamp_ns, np.eye(4), np.eye(4), np.eye(6), np.eye(6), state, None, 100, 100, 50,
+            keyframe, finished, 0.0,
         )  # fmt: skip
         return frame, result
 

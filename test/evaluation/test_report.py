@@ -22,6 +22,7 @@ from dcgs_ros.evaluation.report import (
     SkippedFrame,
     TrackedFrame,
     assess,
+    assess_run,
     build_report,
     with_rendering,
 )
@@ -50,6 +51,7 @@ def tracked(
         T_cam_cam_at_depth=np.eye(4),
         T_world_cam=T_world_cam,
         covariance=np.eye(6),
+        covariance_world=np.eye(6),
         state=state,
         observability=None if kappa is None else spectrum(kappa),
         points=100,
@@ -63,7 +65,7 @@ def tracked(
 
 
 def a_record() -> RunRecord:
-    record = RunRecord('room', 'full', wall_s=0.5, interrupted=False)
+    record = RunRecord('room', 'full', wall_s=2.5, frames_s=0.5, interrupted=False)
     record.tracked = [
         tracked(0, seconds=0.04, keyframe=True),
         tracked(1, kappa=5.0),
@@ -88,6 +90,18 @@ def test_frames_are_counted_once_each() -> None:
     assert report['interrupted'] is False
 
 
+def test_a_camera_that_is_found_again_is_tracked() -> None:
+    record = a_record()
+    record.tracked.append(tracked(6, TrackingState.RELOCALISED))
+    report = report_of(record)
+    assert (report['tracked'], report['lost']) == (5, 1)
+    assert {name: state['frames'] for name, state in report['states'].items()} == {
+        'ok': 3, 'degenerate': 1, 'lost': 1, 'relocalised': 1,
+    }  # fmt: skip
+    assert report['states']['lost']['longest_s'] == pytest.approx(FRAME_NS * 1e-9)
+    assert sum(state['frames'] for state in report['states'].values()) == 6
+
+
 def test_dropped_frames_are_skipped_ones() -> None:
     record = a_record()
     record.skipped.append(SkippedFrame(6, 6 * FRAME_NS, 'frame 7', 'overtaken', dropped=True))
@@ -107,7 +121,7 @@ def test_speed_is_frames_over_the_time_inside_track() -> None:
     assert speed['fps_mean'] == pytest.approx(5 / 0.09)
     assert speed['ms_median'] == pytest.approx(10.0)
     assert speed['ms_median'] <= speed['ms_p95'] <= speed['ms_p99'] <= 40.0
-    assert report['wall_s'] == 0.5
+    assert (report['wall_s'], report['frames_s']) == (2.5, 0.5)
     assert report['realtime_factor'] == pytest.approx(5 * FRAME_NS * 1e-9 / 0.5)
 
 
@@ -169,10 +183,11 @@ def test_non_finite_values_become_null() -> None:
     json.dumps(report, allow_nan=False)
 
 
-def test_trajectories_hold_lost_frames_and_keyframes() -> None:
+def test_trajectories_hold_the_estimated_poses_and_the_keyframes() -> None:
+    """The pose of a lost frame is no estimate."""
     record = a_record()
     estimate, keyframes = record.trajectory(), record.keyframes()
-    assert estimate.stamps_ns.tolist() == [k * FRAME_NS for k in (0, 1, 3, 4, 5)]
+    assert estimate.stamps_ns.tolist() == [k * FRAME_NS for k in (0, 1, 3, 5)]
     assert keyframes.stamps_ns.tolist() == [0, 3 * FRAME_NS]
     np.testing.assert_array_equal(keyframes.T_world_cam, estimate.T_world_cam[[0, 2]])
     assert len(RunRecord('room', 'full').trajectory()) == 0
@@ -190,7 +205,8 @@ def test_accuracy_of_a_moved_copy_is_perfect() -> None:
     assert accuracy.ate is not None
     assert accuracy.rpe_1s is not None
     report = report_of(a_record(), accuracy)
-    assert list(report['ate']) == ['rmse_cm', 'mean_cm', 'median_cm', 'max_cm']
+    assert list(report['ate']) == ['rmse_cm', 'mean_cm', 'median_cm', 'max_cm', 'coverage']
+    assert report['ate']['coverage'] is None  # of a trajectory alone it is not known
     assert list(report['rpe_1s']) == ['trans_rmse_cm', 'rot_rmse_deg']
     assert report['ate']['max_cm'] < ROUNDING
     assert report['rpe_1s']['trans_rmse_cm'] < ROUNDING
@@ -208,3 +224,58 @@ def test_what_is_not_computed_has_a_reason() -> None:
     assert none.ate is None
     assert none.rpe_1s is None
     assert 'found 0 of 5' in none.why_no_ate
+
+
+def a_run(lost: set[int], frames: int = 40) -> RunRecord:
+    """Return a run that is right, but for frames 30 and later, which are 20 cm off."""
+    record = RunRecord('room', 'full')
+    for k in range(frames):
+        frame = tracked(k, TrackingState.LOST if k in lost else TrackingState.OK)
+        T = frame.result.T_world_cam.copy()
+        T[:3, 3] += 0.2 * (k >= 30)
+        record.tracked.append(replace(frame, result=replace(frame.result, T_world_cam=T)))
+    return record
+
+
+def test_a_run_is_assessed_with_what_it_claims() -> None:
+    record, truth = a_run(set()), a_trajectory(40)
+    accuracy = assess_run(record, truth)
+    report = report_of(record, accuracy)
+    assert accuracy.nees is not None and accuracy.silent is not None
+    assert report['silent_frames'] == accuracy.silent.count == 10
+    assert report['nees']['motions'] == 20
+    assert report['nees']['median'] == pytest.approx(np.median(accuracy.nees.values))
+    assert set(report['nees']) == {
+        'median', 'mean', 'mean_bounds_95', 'translation_median', 'rotation_median',
+        'coverage_2sigma_translation', 'coverage_2sigma_rotation', 'motions',
+        'independent_motions',
+    }  # fmt: skip
+    assert report['ate']['coverage'] == 1.0
+    json.dumps(report, allow_nan=False)
+
+
+def test_the_ate_is_over_tracked_frames_and_says_their_share() -> None:
+    """Of the frames with truth: skipped ones count, those without truth do not."""
+    record, truth = a_run(lost=set(range(10, 20))), a_trajectory(36)
+    record.tracked = [frame for frame in record.tracked if frame.index not in (3, 4)]
+    record.skipped = [
+        SkippedFrame(3, 3 * FRAME_NS, 'frame 4', 'refused'),
+        SkippedFrame(4, None, 'frame 5', 'cut off'),
+    ]
+    accuracy = assess_run(record, truth)
+    assert accuracy.ate is not None
+    assert (accuracy.ate.poses, accuracy.ate.matched) == (28, 24)
+    assert accuracy.coverage == pytest.approx(24 / 35)
+    assert report_of(record, accuracy)['ate']['coverage'] == pytest.approx(24 / 35)
+
+
+def test_a_run_that_is_lost_has_no_errors_but_reasons() -> None:
+    record = a_run(lost=set(range(1, 40)))
+    accuracy = assess_run(record, a_trajectory(40))
+    assert accuracy.ate is None and accuracy.rpe_1s is None
+    assert accuracy.nees is None and '1 s apart' in accuracy.why_no_nees
+    assert accuracy.silent is None
+    report = report_of(record, accuracy)
+    assert (report['tracked'], report['lost']) == (1, 39)
+    assert report['nees'] is None and report['silent_frames'] is None
+    assert assess_run(record, None) == Accuracy()

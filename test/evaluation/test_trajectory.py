@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from dcgs_ros.core.trajectory import Trajectory
-from dcgs_ros.evaluation.plots import plot_trajectory
 from dcgs_ros.evaluation.trajectory import (
     EvaluationError,
     absolute_trajectory_error,
     align_umeyama,
     associate,
+    coverage,
     relative_pose_error,
 )
 from dcgs_ros.io.trajectory import read_tum
@@ -235,6 +235,19 @@ def test_association_takes_the_nearest_within_the_limit() -> None:
     np.testing.assert_array_equal(swapped, (j, i))
 
 
+def test_coverage_is_over_the_frames_with_truth() -> None:
+    truth = walk(np.random.default_rng(8), 50)
+    frames = truth.stamps_ns[:40] + 1_000_000
+    early = frames - 60 * SECOND_NS  # no truth yet
+    assert coverage(frames, frames, truth) == 1.0
+    assert coverage(frames[:30], np.r_[early, frames], truth) == 0.75
+    assert coverage(np.r_[early, frames[:30]], np.r_[early, frames], truth) == 0.75
+    assert coverage(frames[:0], frames, truth) == 0.0
+    assert coverage(early, early, truth) is None
+    none = Trajectory(truth.stamps_ns[:0], truth.T_world_cam[:0])
+    assert coverage(frames, frames, none) is None
+
+
 def test_errors_say_what_cannot_be_compared_with_numbers() -> None:
     truth = walk(np.random.default_rng(8), 50)
     late = Trajectory(truth.stamps_ns + 60 * SECOND_NS, truth.T_world_cam)
@@ -249,19 +262,3 @@ def test_errors_say_what_cannot_be_compared_with_numbers() -> None:
     short = Trajectory(truth.stamps_ns[:20], truth.T_world_cam[:20])
     with pytest.raises(EvaluationError, match=r'20 matched poses are 1 s apart.*span 0\.6'):
         relative_pose_error(short, truth)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('with_truth', [True, False])
-def test_the_plot_is_a_png_with_and_without_truth(tmp_path: Path, with_truth: bool) -> None:
-    rng = np.random.default_rng(9)
-    truth = walk(rng, 50)
-    estimate = disturbed(rng, truth)
-    path = tmp_path / 'trajectory.png'
-    ate = plot_trajectory(path, estimate, truth if with_truth else None, 'a walk')
-    assert path.read_bytes().startswith(b'\x89PNG')
-    if with_truth:
-        assert ate is not None
-        assert ate.rmse_cm == absolute_trajectory_error(estimate, truth).rmse_cm
-    else:
-        assert ate is None

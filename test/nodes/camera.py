@@ -125,7 +125,7 @@ class Camera:
     def _figures(self) -> tuple[int, ...]:
         """Colour and depth images, pairs, tracked ones and others, as last reported."""
         names = (
-            ('color',), ('depth',), ('pairs',), ('ok', 'degenerate'),
+            ('color',), ('depth',), ('pairs',), ('ok', 'degenerate', 'relocalised'),
             ('lost', 'refused', 'dropped'),
         )  # fmt: skip
         values = self._report[2]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
@@ -37,6 +38,9 @@ CAMERA = PinholeCamera(48, 36, 42.0, 42.0, 23.5, 17.5)
 TO_MAPPER = {f'keyframe/{name}' for name in TOPICS} | {'camera_pose'}
 TO_TRACKER = {'keyframe/received', 'keyframe/answer', 'gaussian_map', 'gaussian_map_updates'}
 RENAMED = ['-r', 'dcgs_tracker:__node:=eye', '-r', 'dcgs_mapper:__node:=brain']
+
+IDENTITY = np.eye(4)
+OK, RELOCALISED = TrackingState.OK, TrackingState.RELOCALISED
 
 Make = Callable[..., Any]
 
@@ -95,14 +99,42 @@ def test_tracker_and_mapper_are_linked_under_any_names(
     assert {namespace + name for name in TO_TRACKER} <= names(eye.subscriptions)
 
 
+def result_at(
+    stamp_ns: int, T_world_cam: NDArray[np.float64] = IDENTITY, state: TrackingState = OK
+) -> TrackResult:
+    """Return a result that claims a centimetre in the map around it, and ten in the world."""
+    return TrackResult(
+        stamp_ns, T_world_cam, np.eye(4), 1e-4 * np.eye(6), 1e-2 * np.eye(6), state, None, 0, 0,
+        0, False, (), 0.0,
+    )  # fmt: skip
+
+
+def test_odometry_claims_the_pose_in_the_world_and_the_velocity_in_the_map(make: Make) -> None:
+    """What the map adds in the world is in both poses that a velocity is between."""
+    outputs, sent = make(TrackerNode, '-p', 'node.tf:=none')._outputs, list[Any]()
+    outputs._odometry = SimpleNamespace(publish=sent.append)
+    to_base = outputs.camera_to_base('optical')
+    ahead = np.eye(4)
+    ahead[2, 3] = 0.1
+    for stamp_ns, T, state in (
+        (10**8, IDENTITY, OK), (2 * 10**8, ahead, OK), (3 * 10**8, IDENTITY, RELOCALISED),
+    ):  # fmt: skip
+        outputs.publish(result_at(stamp_ns, T, state), to_base)
+    for message in sent:
+        np.testing.assert_allclose(message.pose.covariance[0], 1e-2)
+    assert sent[1].twist.twist.linear.x == pytest.approx(1.0)  # the camera looks along x
+    assert sent[1].twist.covariance[0] == pytest.approx(2e-4 / 0.1**2)
+    for message in (sent[0], sent[2]):  # a camera that is found again did not move there
+        assert message.twist.twist.linear.x == 0.0
+        assert message.twist.covariance[0] == pytest.approx(1.0)
+
+
 def test_a_renamed_mapper_hears_the_camera_pose_and_is_heard(make: Make) -> None:
     eye, brain = make(TrackerNode, *RENAMED), make(MapperNode)
     received: list[Any] = []
     eye._mapper._pass_received = received.append
     brain._outputs.keyframes(None)
-    tracked = TrackResult(
-        5, np.eye(4), np.eye(4), np.eye(6), TrackingState.OK, None, 0, 0, 0, False, (), 0.0
-    )
+    tracked = result_at(5)
     outputs = eye._outputs
     spin_until(lambda: outputs._camera_pose.get_subscription_count() > 0, eye, brain)
     outputs.publish(tracked, outputs.camera_to_base('optical'))

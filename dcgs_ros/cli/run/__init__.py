@@ -6,7 +6,11 @@ from __future__ import annotations
 
 import contextlib
 from contextlib import closing
+from pathlib import Path
 
+import numpy as np
+
+from ...core.errors import DcgsError
 from ...core.kernels.workers import Workers
 from ...core.mapping.mapper import mapper_threads
 from ...datasets.open import open_source
@@ -20,6 +24,10 @@ from .pipeline import start
 from .session import Session
 
 
+class RunError(DcgsError):
+    """A run that led to nothing."""
+
+
 def execute(arguments: RunArguments) -> int:
     """Run the sequence and return the exit status; what was computed is written in any case."""
     _check(arguments)
@@ -31,7 +39,7 @@ def execute(arguments: RunArguments) -> int:
     try:
         with closing(Workers(mapper_threads(config, arguments.online))) as workers:
             pipeline = start(source.camera, config, arguments.mapping, arguments.online, workers)
-            session = Session(source, pipeline, record, folder)
+            session = Session(source, pipeline, record, folder, arguments.asked_s)
             with StopSignals() as stop:
                 session.process(total, lambda: stop.status != 0)
                 if record.tracked:
@@ -44,6 +52,8 @@ def execute(arguments: RunArguments) -> int:
             folder.rmdir()
     if stop.status == 0 and not record.tracked:
         raise SourceError(_no_usable_frame(record))
+    if stop.status == 0 and _is_lost(record):
+        raise RunError(_lost(record, folder))
     return stop.status
 
 
@@ -55,6 +65,26 @@ def _check(arguments: RunArguments) -> None:
         raise UsageError(f'--render-every {arguments.render_every}: 1 or more, or 0 for none')
     if arguments.out is not None:
         refuse_used(arguments.out)
+
+
+def _is_lost(record: RunRecord) -> bool:
+    """Return whether no frame was tracked but the first, which nothing can be tracked against."""
+    return len(record.tracked) > 1 and len(record.trajectory()) <= 1
+
+
+def _lost(record: RunRecord, folder: Path) -> str:
+    """Return how much of its frames a run that tracked nothing could use."""
+    later = record.tracked[1:]
+    points, inliers = (
+        int(np.median([getattr(frame.result, name) for frame in later]))
+        for name in ('points', 'inliers')
+    )
+    count, lost = len(record.tracked), len(record.tracked) - len(record.trajectory())
+    return (
+        f'nothing was tracked: the camera is lost in {lost} of {count} frames; of a median frame '
+        f'{inliers} of {points} depth points fit the map. Check depth, intrinsics and pairing '
+        f'with `dcgs info`. What was written is in {folder}'
+    )
 
 
 def _no_usable_frame(record: RunRecord) -> str:

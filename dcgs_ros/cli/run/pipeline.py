@@ -74,7 +74,7 @@ class Pipeline:
             self.mapping.advance()
             now = time.perf_counter()
             record.mapping_s += now - before
-            record.wall_s = now - start
+            record.frames_s = now - start
             if stopped():
                 return
         record.interrupted = False

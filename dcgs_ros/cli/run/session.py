@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -17,7 +18,7 @@ from ...datasets.prefetch import prefetch_frames
 from ...datasets.source import Source
 from ...evaluation.contact_sheet import write_contact_sheet
 from ...evaluation.host import machine, peak_rss_mb
-from ...evaluation.report import Accuracy, RunRecord, assess, build_report, with_rendering
+from ...evaluation.report import Accuracy, RunRecord, assess_run, build_report, with_rendering
 from ...evaluation.scoring import score_map
 from ...io.map_archive import SavedMap, write_map
 from ...io.ply import write_ply
@@ -34,12 +35,17 @@ class Session:
     """One run: call `process`, `save`, `evaluate` in this order, then `deferred.raise_first`."""
 
     def __init__(
-        self, source: Source, pipeline: Pipeline, record: RunRecord, folder: Path
+        self,
+        source: Source,
+        pipeline: Pipeline,
+        record: RunRecord,
+        folder: Path,
+        asked_s: float,
     ) -> None:
-        """Write into `folder`, which exists."""
+        """Write into `folder`, which exists; the user waits since `asked_s` (perf_counter)."""
         self.deferred = DeferredErrors()
         self._source, self._pipeline, self._record = source, pipeline, record
-        self._folder = folder
+        self._folder, self._asked_s = folder, asked_s
         self._saved: SavedMap | None = None
         self._accuracy = Accuracy()
         self._report: dict[str, Any] = {}
@@ -59,14 +65,14 @@ class Session:
             with deferred:  # even after a failure: this ends the mapper's thread
                 pipeline.refine(record, progress, lambda: stopped() or deferred.failed)
         if pipeline.online:  # the mapper worked all the time
-            record.mapping_s += record.wall_s
+            record.mapping_s += record.frames_s
 
     def save(self) -> None:
         """Write the map, and the report without the scores of its renderings."""
         self._save_map()
         with self.deferred:
-            trajectory = self._record.trajectory()
-            self._accuracy = assess(trajectory, self._source.groundtruth)
+            self._accuracy = assess_run(self._record, self._source.groundtruth)
+            self._record.wall_s = time.perf_counter() - self._asked_s
             self._report = build_report(
                 self._record, self._accuracy, machine(), peak_rss_mb(), __version__
             )
@@ -90,15 +96,20 @@ class Session:
     def evaluate(self, every: int, workers: Workers) -> None:
         """Plot the trajectory, score the map on every `every`-th frame, print the summary."""
         record, deferred = self._record, self.deferred
+        trajectory = record.trajectory()
         with deferred:
             truth = self._source.groundtruth if self._accuracy.ate is not None else None
-            write_plot(self._folder, record, truth)
+            if len(trajectory):
+                write_plot(self._folder, record, truth)
         if every and self._saved is not None and not deferred.failed:
             with deferred:
-                trajectory, renderer = record.trajectory(), make_renderer(workers)
-                found = score_map(self._saved, trajectory, self._source, every, renderer)
+                found = score_map(
+                    self._saved, trajectory, self._source, every, make_renderer(workers)
+                )
                 self._report = with_rendering(self._report, found.scores)
-                write_report(self._folder, self._report)
                 write_contact_sheet(self._folder / 'views.png', found.pairs)
         if self._report:
+            with deferred:
+                self._report['wall_s'] = time.perf_counter() - self._asked_s
+                write_report(self._folder, self._report)
             print(run_summary(self._report, self._accuracy, self._folder), flush=True)

@@ -20,6 +20,7 @@ class TrackingState(Enum):
     OK = 'ok'
     DEGENERATE = 'degenerate'  # tracked, but one direction is badly constrained
     LOST = 'lost'  # the pose is the last good one
+    RELOCALISED = 'relocalised'  # a lost camera is found again, which is not confirmed yet
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,10 @@ class TrackResult:
     stamp_ns: int  # of the colour image
     T_world_cam: NDArray[np.float64]  # (4, 4)
     T_cam_cam_at_depth: NDArray[np.float64]  # (4, 4) camera at the depth's instant to colour's
-    covariance: NDArray[np.floating]  # (6, 6) of xi in T_world_cam exp(xi), translation first
+    # Of xi in T_world_cam exp(xi), (6, 6) each, translation first, m and rad: of the pose in the
+    # map around the camera, and of the pose in the world, which the map itself adds to.
+    covariance: NDArray[np.floating]
+    covariance_world: NDArray[np.floating]
     state: TrackingState
     observability: Observability | None  # None: first frame, or lost
     points: int

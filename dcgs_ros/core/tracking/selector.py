@@ -8,9 +8,14 @@ from ..frame import RgbdFrame
 from ..keyframe import PosedFrame
 from .result import TrackingState, TrackResult
 
+_SURE = (TrackingState.OK, TrackingState.DEGENERATE)  # a pose is known, not only supposed
+
 
 class KeyframeSelector:
-    """Selects the tracker's keyframes, and every `interval`-th frame between them as a view."""
+    """Selects the tracker's keyframes, and every `interval`-th frame between them as a view.
+
+    Of a lost camera, or one whose relocalisation is not confirmed yet, no frame is a view.
+    """
 
     def __init__(self, interval: int) -> None:
         """Count frames from the first on; `interval` may change at any time."""
@@ -20,7 +25,7 @@ class KeyframeSelector:
     def select(self, frame: RgbdFrame, result: TrackResult) -> list[PosedFrame]:
         """Return what the mapper should get now that this frame is tracked, oldest first."""
         selected: list[PosedFrame] = list(result.keyframes)
-        if result.state is not TrackingState.LOST:
+        if result.state in _SURE:
             self._since += 1
             if not result.keyframe and self._since >= self.interval:
                 view = PosedFrame(frame, result.T_world_cam, result.T_cam_cam_at_depth)

@@ -168,11 +168,11 @@ class Tracker:
         begun = self._begun = len(first.ids) >= self.config.registration.min_pairs
         if begun:
             self._held = [first]
+        covariance = np.zeros((6, 6)) if begun else _LOST_COVARIANCE
         return TrackResult(
             frame.stamp_ns, self._T_world_first, np.eye(4),
-            np.zeros((6, 6)) if begun else _LOST_COVARIANCE,
-            TrackingState.OK if begun else TrackingState.LOST, None, len(first.ids), 0,
-            len(self.landmarks), begun, (), 1e3 * self._offset.seconds,
+            covariance, covariance, TrackingState.OK if begun else TrackingState.LOST, None,
+            len(first.ids), 0, len(self.landmarks), begun, (), 1e3 * self._offset.seconds,
         )  # fmt: skip
 
     def _start_map(
@@ -234,9 +234,9 @@ class Tracker:
     def _lost(self, frame: RgbdFrame, found: Registration) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""
         return TrackResult(
-            frame.stamp_ns, self.T_world_cam, np.eye(4), _LOST_COVARIANCE, TrackingState.LOST,
-            None, len(found.depth.points), found.inliers, 0, False, self.flush(),
-            1e3 * self._offset.seconds,
+            frame.stamp_ns, self.T_world_cam, np.eye(4), _LOST_COVARIANCE, _LOST_COVARIANCE,
+            TrackingState.LOST, None, len(found.depth.points), found.inliers, 0, False,
+            self.flush(), 1e3 * self._offset.seconds,
         )  # fmt: skip
 
     def _accept(self, found: Estimate) -> None:
@@ -309,9 +309,10 @@ class Tracker:
         if self.config.shares_covariance:  # not metric: scaled by the residual
             variance = result.equations.cost / max(3 * result.inliers - 6, 1)
         spectrum = observability(result.equations.H, result.sharp.H)
+        covariance = pose_covariance(result.sharp.H, variance)
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,
-            pose_covariance(result.sharp.H, variance), self._state(spectrum), spectrum,
+            covariance, covariance, self._state(spectrum), spectrum,
             len(result.depth.points), result.inliers, len(self.landmarks), keyframe, self.flush(),
             1e3 * self._offset.seconds,
         )  # fmt: skip

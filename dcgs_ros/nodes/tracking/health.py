@@ -39,6 +39,8 @@ def judge(streams: Streams, result: TrackResult | None, searching: bool) -> Verd
     if result.state is TrackingState.LOST:
         where = 'looking for the camera in the map' if searching else 'lost'
         return Verdict(Level.ERROR, f'{where}: move back to where it was tracked, or call ~/reset')
+    if result.state is TrackingState.RELOCALISED:
+        return Verdict(Level.WARN, 'found again in the map, to be confirmed by the next frames')
     if result.state is TrackingState.DEGENERATE:
         assert result.observability is not None
         axis = weakest_axis(result.observability.weakest)

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from ...core import se3
 from ...core.config.nodes import TrackerNodeSettings
-from ...core.tracking.result import TrackResult
+from ...core.tracking.result import TrackingState, TrackResult
 from ..messages.images import header
 from ..messages.odometry import CameraToBase, odometry_message
 from ..messages.poses import path, pose_stamped, transform_stamped
@@ -53,14 +53,15 @@ class TrackerOutputs:
         return self._to_base
 
     def publish(self, result: TrackResult, to_base: CameraToBase) -> None:
-        """Publish a pose, and the velocity since the last one."""
+        """Publish a pose with its covariance in the world, and the velocity since the last one."""
         T_world_base = to_base.pose(result.T_world_cam)
         in_world = header(result.stamp_ns, self.world)
         twist, twist_covariance = to_base.twist(*self._camera_twist(result))
         self._odometry.publish(
             odometry_message(
                 in_world, self._settings.base_frame, T_world_base,
-                to_base.covariance(result.covariance, T_world_base), twist, twist_covariance,
+                to_base.covariance(result.covariance_world, T_world_base), twist,
+                twist_covariance,
             )
         )  # fmt: skip
         stamped = pose_stamped(T_world_base, in_world)
@@ -85,12 +86,16 @@ class TrackerOutputs:
     ) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
         """Return the camera's twist (6,) since the last pose, per second, and covariance (6, 6).
 
-        Without a recent pose it is unknown: zero, with a covariance of a metre and a radian.
+        Both poses are relative to the map around the camera, so what the map adds in the world
+        does not count. Without a recent pose, or where the camera was only found again, it is
+        unknown: zero, with a covariance of a metre and a radian.
         """
         last = self._last
-        if last is None or not 0 < (result.stamp_ns - last.stamp_ns) * 1e-9 < _MAX_GAP_S:
+        if last is None or result.state is TrackingState.RELOCALISED:
             return np.zeros(6), np.eye(6)
         dt = (result.stamp_ns - last.stamp_ns) * 1e-9
+        if not 0 < dt < _MAX_GAP_S:
+            return np.zeros(6), np.eye(6)
         moved = se3.log(se3.inverse(last.T_world_cam) @ result.T_world_cam)
         return moved / dt, (last.covariance + result.covariance) / dt**2
 

@@ -10,18 +10,26 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from running import TRACKS, Run, run_into  # type: ignore[import-not-found]
+from numpy.typing import NDArray
+from running import (  # type: ignore[import-not-found]
+    TRACKS,
+    WALL,
+    Run,
+    held_still,
+    run_into,
+)
 
 from dcgs_ros import __version__
 from dcgs_ros.cli import run
+from dcgs_ros.cli.frames_file import COLUMNS
 from dcgs_ros.cli.main import main
-from dcgs_ros.cli.run.outputs import COLUMNS
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
@@ -36,6 +44,7 @@ from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.io.trajectory import format_stamp_ns, read_tum, write_tum
 
 Writer = Callable[..., Path]
+Action = Callable[[], BadFrame | NDArray[np.float32] | None]
 
 ROOT = Path(__file__).resolve().parents[3]
 FRAMES = 32  # a little more than a second, the interval of RPE
@@ -49,8 +58,21 @@ CONTRACT = {
     'lost': None,
     'keyframes': None,
     'tracking': {'fps_mean', 'ms_median', 'ms_p95', 'ms_p99'},
-    'ate': {'rmse_cm', 'mean_cm', 'median_cm', 'max_cm'},
+    'ate': {'rmse_cm', 'mean_cm', 'median_cm', 'max_cm', 'coverage'},
     'rpe_1s': {'trans_rmse_cm', 'rot_rmse_deg'},
+    'states': {'ok', 'degenerate', 'lost', 'relocalised'},
+    'nees': {
+        'median',
+        'mean',
+        'mean_bounds_95',
+        'translation_median',
+        'rotation_median',
+        'coverage_2sigma_translation',
+        'coverage_2sigma_rotation',
+        'motions',
+        'independent_motions',
+    },
+    'silent_frames': None,
     'mapping': {'gaussians', 'iterations', 'iterations_per_s'},
     'rendering': None,
     'timing': {'colour_depth_offset_ms'},
@@ -103,6 +125,7 @@ def test_the_report_holds_the_contract(room: Run) -> None:
             assert set(report[key]) == inner
     assert set(report) - set(CONTRACT) == {
         'skipped', 'dropped', 'interrupted', 'degenerate', 'address', 'camera',
+        'frames_s',
     }  # fmt: skip
     assert (report['source'], report['ablation']) == (ROOM, 'full')
     assert (report['address'], report['camera']) == (ROOM, None)
@@ -133,6 +156,9 @@ def test_every_frame_has_a_line_and_a_pose(room: Run) -> None:
     assert keyframes == [format_stamp_ns(stamp_ns) for stamp_ns in stamps_ns]
     ms = [float(row['ms']) for row in rows]
     assert room.report()['tracking']['ms_median'] == pytest.approx(np.median(ms), abs=1e-3)
+    for row in rows[1:]:  # the first pose is exact by definition
+        assert 0 < float(row['sigma_translation_m']) <= float(row['sigma_world_translation_m'])
+        assert 0 < float(row['sigma_rotation_rad']) <= float(row['sigma_world_rotation_rad'])
     weakest = [float(rows[-1][name]) for name in COLUMNS if name.startswith('weakest')]
     assert np.linalg.norm(weakest) == pytest.approx(1.0, abs=1e-5)
 
@@ -168,6 +194,8 @@ def test_evaluate_finds_what_the_report_says(
     assert (found['poses'], found['matched']) == (FRAMES, FRAMES)
     for part in ('ate', 'rpe_1s'):
         for key, value in report[part].items():
+            if key == 'coverage':  # of what a file does not say
+                continue
             assert found[part][key] == pytest.approx(value, abs=1e3 * PRINTED_M)
     assert main(['evaluate', *files]) == 0
     assert f'{report["ate"]["rmse_cm"]:.2f} cm RMSE' in capsys.readouterr().out
@@ -206,10 +234,11 @@ def test_settings_are_layered(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_truth_never_reaches_the_tracker(tum_folder: Writer, tmp_path: Path) -> None:
-    folder = tum_folder(frames=6)
-    with_truth = track_into(tmp_path / 'with', str(folder), '--camera', SMALL)
+    folder = held_still(tum_folder(frames=6))
+    words = (str(folder), '--camera', SMALL, *WALL)
+    with_truth = track_into(tmp_path / 'with', *words)
     (folder / 'groundtruth.txt').unlink()
-    without = track_into(tmp_path / 'without', str(folder), '--camera', SMALL)
+    without = track_into(tmp_path / 'without', *words)
     assert with_truth.report()['ate'] is not None
     assert without.report()['ate'] is None
     assert 'ATE           not computed: there is no ground truth' in without.out
@@ -222,7 +251,8 @@ def test_truth_of_another_time_leaves_the_run_without_ate(
 ) -> None:
     truth = tmp_path / 'truth.tum'
     truth.write_text('7 0 0 0 0 0 0 1\n8 1 0 0 0 0 0 1\n9 1 1 0 0 0 0 1\n')
-    words = (str(tum_folder()), '--camera', SMALL, '--groundtruth', str(truth))
+    folder = str(held_still(tum_folder()))
+    words = (folder, '--camera', SMALL, '--groundtruth', str(truth), *WALL)
     done = track_into(tmp_path / 'run', *words)
     assert done.status == 0
     assert done.report()['ate'] is None
@@ -231,15 +261,16 @@ def test_truth_of_another_time_leaves_the_run_without_ate(
 
 
 class MadeUp:
-    """Frames of a wall, with other items or actions at given indices."""
+    """Frames of a wall, with other items or actions at given indices; and the truth."""
 
     name = 'made up'
     camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
     sensor = SensorNoise()
-    groundtruth: Trajectory | None = None
 
-    def __init__(self, count: int, at: dict[int, Callable[[], BadFrame | None]]) -> None:
+    def __init__(self, count: int, at: dict[int, Action]) -> None:
         self._count, self._at = count, at
+        stamps_ns = 10**9 + 33_000_000 * np.arange(count, dtype=np.int64)
+        self.groundtruth = Trajectory(stamps_ns, np.tile(np.eye(4), (count, 1, 1)))
 
     def __len__(self) -> int:
         return self._count
@@ -250,22 +281,78 @@ class MadeUp:
             other = self._at[k]() if k in self._at else None
             stamp_ns = 10**9 + k * 33_000_000
             image = np.full((48, 64, 3), 90, np.uint8)
-            yield other or RgbdFrame(stamp_ns, stamp_ns, image, depth_m)
+            frame = RgbdFrame(stamp_ns, stamp_ns, image, depth_m)
+            if isinstance(other, np.ndarray):
+                frame, other = replace(frame, depth_m=other), None
+            yield other or frame
 
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Run]:
     """Return a function that runs `MadeUp` frames."""
 
-    def run_made_up(count: int, at: dict[int, Callable[[], BadFrame | None]]) -> Run:
+    def run_made_up(count: int, at: dict[int, Action]) -> Run:
         monkeypatch.setattr(run, 'open_source', lambda *_: MadeUp(count, at))
-        return track_into(tmp_path / 'run', 'made-up')
+        return track_into(tmp_path / 'run', 'made-up', *WALL)
 
     return run_made_up
 
 
 def bad_frame() -> BadFrame:
     return BadFrame('frame 3 of 6 (3.png)', 'is cut off')
+
+
+def noise() -> NDArray[np.float32]:
+    """Return depth of no surface at all."""
+    return np.random.default_rng(0).uniform(0.5, 6.0, (48, 64)).astype(np.float32)
+
+
+def test_a_lost_frame_is_not_tracked(made_up: Callable[..., Run]) -> None:
+    """It has a line, but no pose, and the ATE says that it does not cover it."""
+    done = made_up(60, dict.fromkeys(range(40, 46), noise))
+    assert done.status == 0
+    report, rows = done.report(), done.frames()
+    assert (report['frames'], report['tracked'], report['lost']) == (60, 54, 6)
+    assert report['states']['lost'] == {'frames': 6, 'longest_s': pytest.approx(6 * 0.033)}
+    assert report['ate']['coverage'] == pytest.approx(54 / 60)
+    assert report['silent_frames'] == 0
+    lost = [row['state'] == 'lost' for row in rows]
+    assert [k for k, is_lost in enumerate(lost) if is_lost] == list(range(40, 46))
+    assert [row['tracked'] == '0' for row in rows] == lost
+    poses = read_tum(done.folder / 'trajectory.tum')
+    assert [format_stamp_ns(stamp_ns) for stamp_ns in poses.stamps_ns] == [
+        row['stamp'] for row in rows if row['state'] != 'lost'
+    ]
+    assert 'lost 6 (longest 0.20 s)' in done.out
+    assert 'relocalised' not in done.out  # no frame was
+    assert '90.0% of the frames with truth' in done.out
+
+
+@pytest.mark.parametrize('first', [0, 1])
+def test_a_run_that_tracks_nothing_fails_with_everything_written(
+    made_up: Callable[..., Run], first: int
+) -> None:
+    done = made_up(6, dict.fromkeys(range(first, 6), noise))
+    assert done.status == 2
+    assert done.err.splitlines()[-1].startswith(
+        f'dcgs: nothing was tracked: the camera is lost in {6 - first} of 6 frames'
+    )
+    assert done.files() == (TRACKS if first else TRACKS - {'trajectory.png'})
+    report = done.report()
+    assert (report['tracked'], report['lost'], report['ate']) == (first, 6 - first, None)
+    assert 'ATE           not computed' in done.out
+
+
+def test_wall_time_is_all_that_the_user_waited_for(made_up: Callable[..., Run]) -> None:
+    before = time.perf_counter()
+    done = made_up(6, {3: lambda: time.sleep(0.2)})
+    waited_s = time.perf_counter() - before
+    report, rows = done.report(), done.frames()
+    inside_s = 1e-3 * sum(float(row['ms']) for row in rows)
+    assert inside_s + 0.2 < report['frames_s'] < report['wall_s'] <= waited_s
+    assert report['wall_s'] > waited_s - 1.0  # to the last file
+    span_s = 5 * 0.033
+    assert report['realtime_factor'] == pytest.approx(span_s / report['frames_s'])
 
 
 def test_a_bad_frame_is_skipped_counted_and_named(made_up: Callable[..., Run]) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from itertools import count
 
 import numpy as np
+import pytest
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
@@ -14,6 +15,7 @@ from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.tracking.selector import KeyframeSelector
 
 OK, LOST, DEGENERATE = TrackingState.OK, TrackingState.LOST, TrackingState.DEGENERATE
+RELOCALISED = TrackingState.RELOCALISED
 
 
 class Frames:
@@ -37,8 +39,9 @@ class Frames:
         if stamp_ns:
             self._held.clear()
         result = TrackResult(
-            stamp_ns, pose, motion, np.eye(6), state, None, 100, 100, 50, keyframe, finished, 0.0
-        )
+            stamp_ns, pose, motion, np.eye(6), np.eye(6), state, None, 100, 100, 50, keyframe,
+            finished, 0.0,
+        )  # fmt: skip
         chosen = self.selector.select(frame, result)
         for posed in chosen:
             at = posed.frame.stamp_ns
@@ -72,9 +75,12 @@ def test_the_interval_may_change_at_any_time() -> None:
     assert [frames.selected() for _ in range(3)] == [[6], [], [8]]
 
 
-def test_lost_frames_are_never_selected_and_do_not_count() -> None:
+@pytest.mark.parametrize('state', [LOST, RELOCALISED])
+def test_a_frame_whose_place_is_not_sure_is_never_selected_and_does_not_count(
+    state: TrackingState,
+) -> None:
     frames = Frames(interval=2)
     assert frames.selected(keyframe=True) == []
-    assert frames.selected(state=LOST) == [0]  # the first keyframe waits for any second frame
-    assert [frames.selected(state=LOST) for _ in range(5)] == [[]] * 5
+    assert frames.selected(state=state) == [0]  # the first keyframe waits for any second frame
+    assert [frames.selected(state=state) for _ in range(5)] == [[]] * 5
     assert [frames.selected(), frames.selected(state=DEGENERATE)] == [[], [8]]

@@ -28,8 +28,9 @@ def spectrum() -> Observability:
 
 def result_in(state: TrackingState, seen: Observability | None = None) -> TrackResult:
     return TrackResult(
-        1, np.eye(4), np.eye(4), np.eye(6), state, seen, 2000, 1500, 120, False, (), -3.5
-    )
+        1, np.eye(4), np.eye(4), np.eye(6), np.eye(6), state, seen, 2000, 1500, 120, False, (),
+        -3.5,
+    )  # fmt: skip
 
 
 GOOD = result_in(TrackingState.OK, spectrum())
@@ -98,6 +99,11 @@ def test_lost_is_an_error_that_says_what_to_do(searching: bool) -> None:
 def test_degenerate_is_a_warning_that_names_the_direction() -> None:
     verdict = judge(FINE, result_in(TrackingState.DEGENERATE, spectrum()), False)
     assert verdict.level is Level.WARN and verdict.message.endswith("the camera's y")
+
+
+def test_a_camera_that_was_found_again_is_a_warning_until_it_is_confirmed() -> None:
+    verdict = judge(FINE, result_in(TrackingState.RELOCALISED, spectrum()), False)
+    assert verdict.level is Level.WARN and 'to be confirmed' in verdict.message
 
 
 @given(st.integers(0, 60), st.integers(0, 60))

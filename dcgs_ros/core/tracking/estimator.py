@@ -76,6 +76,10 @@ class Estimate:
         )
         return enough and bool(np.isfinite(found.equations.H).all())
 
+    def sees_depth(self, config: Config) -> bool:
+        """Return whether depth has points enough to speak for or against the pose."""
+        return len(self.registration.depth.points) >= config.registration.min_pairs
+
     def consistent_landmarks(self, max_chi2: float) -> Landmarks:
         """Return the landmarks that do not contradict the pose: a moving corner does."""
         if self.registration.image is None or not self.fresh:

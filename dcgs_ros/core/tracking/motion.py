@@ -56,6 +56,10 @@ class ConstantVelocity:
     def _since_last_s(self, stamp_ns: int) -> float:
         return max((stamp_ns - self.stamp_ns) * 1e-9, _MIN_INTERVAL_S)
 
+    def is_gap(self, stamp_ns: int) -> bool:
+        """Return whether the motion since the last pose is unknown."""
+        return self._since_last_s(stamp_ns) > _MAX_GAP_S
+
     def predict(self, stamp_ns: int) -> NDArray[np.float64]:
         """Return the pose (4, 4) at a later stamp."""
         dt = self._since_last_s(stamp_ns)

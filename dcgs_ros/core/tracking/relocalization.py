@@ -11,30 +11,40 @@ from numpy.typing import NDArray
 
 from ..config.stages import Config
 from .registration import DepthTerm, Registration, register
+from .verification import Usual, median_chi2
 
 _TRIES = 3  # poses a frame: what real time has room for
-# Share of a frame that the map must explain. Noisy depth is explained worse everywhere, so the
-# share falls with every frame in which nothing is found.
-_EXPLAINED, _AT_LEAST, _PATIENCE = 0.7, 0.5, 0.005
-_AGREEMENT = 0.87  # of the map with the frame: what it should see and does
+# Shares of what is usual that a frame must reach: of the overlap, of the agreement of the map with
+# the frame. Noisy depth is explained worse everywhere, so the wanted overlap falls with every
+# frame in which nothing is found.
+_OVERLAP, _AT_LEAST, _PATIENCE = 0.8, 0.6, 0.005
+_AGREEMENT = 0.87
+_CHI2 = 2.0  # most of the usual median of depth's residuals
 
 
 class Relocalizer:
     """Tries to register each frame from a few of the poses where the camera has been."""
 
     def __init__(
-        self, T_world_cam: NDArray[np.float64], visited: Sequence[NDArray[np.float64]]
+        self,
+        T_world_cam: NDArray[np.float64],
+        visited: Sequence[NDArray[np.float64]],
+        usual: Usual,
     ) -> None:
         """Try the last pose (4, 4) always, and the visited ones in turn, the newest first."""
         self._last = T_world_cam
         self._visited = list(visited[::-1])
         self._next = 0
-        self._wanted = _EXPLAINED
+        self._usual = usual
+        self._wanted = _OVERLAP
 
-    def best(self, depth: DepthTerm, config: Config) -> Registration:
-        """Register the cloud from the next few poses; return what explains most of it."""
+    def best(
+        self, depth: DepthTerm, config: Config, guesses: Sequence[NDArray[np.float64]] = ()
+    ) -> Registration:
+        """Register the cloud from the guesses and the next few poses; return the best fit."""
         settings = config.registration
-        found = (register(T, depth, None, config, settings.guess_radius_m) for T in self._some())
+        starts = [*guesses, *self._some()]
+        found = (register(T, depth, None, config, settings.guess_radius_m) for T in starts)
         best = max(found, key=lambda result: result.overlap)
         return register(best.T_world_cam, depth, None, config, settings.radius_m)
 
@@ -44,7 +54,12 @@ class Relocalizer:
         A frame may fit a wrong place. The map then shows surfaces that the frame looks through, so
         its `agreement` (`GaussianMap.agreement`) is low; the limit on that never falls.
         """
-        if result.overlap >= self._wanted and agreement >= _AGREEMENT:
+        usual = self._usual
+        if (
+            result.overlap >= self._wanted * usual.overlap
+            and agreement >= _AGREEMENT * usual.agreement
+            and median_chi2(result) <= _CHI2 * usual.chi2
+        ):
             return True
         self._wanted = max(self._wanted - _PATIENCE, _AT_LEAST)
         return False

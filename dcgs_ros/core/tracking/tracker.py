@@ -27,8 +27,11 @@ from .observability import Observability, observability, pose_covariance
 from .registration import DepthTerm, Registration
 from .relocalization import Relocalizer
 from .result import TrackingState, TrackResult
+from .verification import Evidence, Usual, is_repetition
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
+_REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
+_CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
 
 
@@ -52,12 +55,15 @@ class Tracker:
         self._begun = False
         self._first: RgbdFrame | None = None  # until the second frame tells its velocity
         self._stamp_ns: int | None = None  # of the last frame, lost or not
+        self._received: RgbdFrame | None = None  # the last frame, lost or not
         self._offset = ColorDepthOffset(self.config.timing)
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self.config.keyframes)
         self._visited: list[NDArray[np.float64]] = []  # poses (4, 4) of the keyframes
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
+        self._unconfirmed = 0  # frames that must still agree with the place where it was found
+        self._usual = Usual()
         self.threads = jit.set_threads(self.config.threads)
 
     def track(self, frame: RgbdFrame) -> TrackResult:
@@ -70,16 +76,23 @@ class Tracker:
         self._stamp_ns = frame.stamp_ns
         if not self._begun:
             return self._begin(frame)
+        repeated = self._received is not None and is_repetition(frame, self._received)
+        self._received = frame
+        if repeated:
+            return self._lost(frame)
+        if self._relocalizer is None and self._memory.motion.is_gap(frame.stamp_ns):
+            self._lose()
         if self._relocalizer is not None:
             return self._relocalize(frame, self._relocalizer)
         if self._first is not None:
             self._place_first(self._first, frame)
         found = estimate(frame, self._memory, self.gaussians, self.camera, self.config)
-        if not found.is_trusted(self.config):
-            return self._lost(frame, found.registration)
+        evidence = Evidence.of(found, self._memory, self._usual, self.config)
+        if evidence.contradicts or not found.is_trusted(self.config):
+            return self._relocalize(frame, self._lose(), [found.registered.T_world_cam])
         last = self._memory.last
-        self._accept(found)
-        keyframe = self._is_keyframe(found)
+        self._accept(found, evidence)
+        keyframe = not self._unconfirmed and not evidence.doubtful and self._is_keyframe(found)
         if keyframe:
             self._held.append(self._extend_map(found.registered, last))
         elif found.fresh and self._runs_out_of_landmarks():
@@ -114,9 +127,9 @@ class Tracker:
 
         It is looked for where it was last and at the keyframes.
         """
-        self._first, self._stamp_ns = None, None
-        self._memory = self._forgotten(self._memory.motion)
-        self._relocalizer = Relocalizer(self.T_world_cam, self._visited) if self._begun else None
+        self._first = self._stamp_ns = None
+        if self._begun:
+            self._lose()
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other settings; sensor, ablation, threads and timing stay as they were."""
@@ -144,6 +157,13 @@ class Tracker:
         """Landmarks alive, where they are in the last image and in the world."""
         return self._memory.landmarks
 
+    def _lose(self) -> Relocalizer:
+        """Forget what holds from frame to frame, and begin to look for the camera in the map."""
+        self._first = None
+        self._memory = self._forgotten(self._memory.motion)
+        self._relocalizer = Relocalizer(self.T_world_cam, self._visited, self._usual)
+        return self._relocalizer
+
     def _check(self, frame: RgbdFrame) -> None:
         height, width = frame.depth_m.shape
         if (width, height) != (self.camera.width, self.camera.height):
@@ -153,9 +173,12 @@ class Tracker:
         lag_s = (frame.depth_stamp_ns - frame.stamp_ns) * 1e-9
         if abs(lag_s) > _MAX_LAG_S:
             raise FrameError(f'depth was taken {lag_s:+.3f} s from colour, limit {_MAX_LAG_S} s')
-        if self._stamp_ns is not None and frame.stamp_ns <= self._stamp_ns:
-            late = (self._stamp_ns - frame.stamp_ns) * 1e-9
-            raise FrameError(f'stamp lies {late:.6f} s before the last frame')
+        if self._stamp_ns is None or frame.stamp_ns > self._stamp_ns:
+            return
+        late_s = (self._stamp_ns - frame.stamp_ns) * 1e-9
+        if late_s <= _REWOUND_S:
+            raise FrameError(f'stamp lies {late_s:.6f} s before the last frame')
+        self.interrupt()
 
     def _forgotten(self, motion: ConstantVelocity) -> Memory:
         """Return a memory that knows of no frame but the last pose."""
@@ -207,40 +230,49 @@ class Tracker:
             grey = memory.last.grey
             self._held = [self._start_map(first, grey, self.T_world_cam, motion.twist)]
 
-    def _relocalize(self, frame: RgbdFrame, relocalizer: Relocalizer) -> TrackResult:
+    def _relocalize(
+        self,
+        frame: RgbdFrame,
+        relocalizer: Relocalizer,
+        guesses: Sequence[NDArray[np.float64]] = (),
+    ) -> TrackResult:
         """Try a few of the places where the camera may be; go on from one that explains enough."""
         config = self.config
         cloud = sample(frame, self.camera, config, config.cloud.stride_px)
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
-        best = relocalizer.best(depth, config)
+        best = relocalizer.best(depth, config, guesses)
         T = best.T_world_cam
-        found = Estimate(
-            RegisteredFrame(frame, T, np.eye(4), to_grey(frame.color)), best, Landmarks.none(), True
-        )
+        registered = RegisteredFrame(frame, T, np.eye(4), to_grey(frame.color))
+        found = Estimate(registered, best, Landmarks.none(), True)
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
         spectrum = observability(best.equations.H, best.sharp.H)
         if self._state(spectrum) is TrackingState.DEGENERATE:  # anywhere along that direction
             return self._lost(frame, best)
-        self._relocalizer = None
+        self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
         self._memory = replace(
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
-            last=found.registered, image=found.registered, overlap=best.overlap,
+            last=registered, image=registered, overlap=best.overlap,
         )  # fmt: skip
-        self._anchor_landmarks(found.registered)
+        self._anchor_landmarks(registered)
+        self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         return self._result(found, False)
 
-    def _lost(self, frame: RgbdFrame, found: Registration) -> TrackResult:
+    def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""
+        points, inliers = (0, 0) if found is None else (len(found.depth.points), found.inliers)
         return TrackResult(
             frame.stamp_ns, self.T_world_cam, np.eye(4), _LOST_COVARIANCE, _LOST_COVARIANCE,
-            TrackingState.LOST, None, len(found.depth.points), found.inliers, 0, False,
-            self.flush(), 1e3 * self._offset.seconds,
+            TrackingState.LOST, None, points, inliers, 0, False, self.flush(),
+            1e3 * self._offset.seconds,
         )  # fmt: skip
 
-    def _accept(self, found: Estimate) -> None:
+    def _accept(self, found: Estimate, evidence: Evidence) -> None:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
+        if not evidence.doubtful:
+            self._unconfirmed = max(self._unconfirmed - 1, 0)
+            self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         if result.image is not None:  # depth and image, each alone, tell the offset between them
@@ -252,7 +284,7 @@ class Tracker:
             memory.motion.advanced(T, stamp_ns), self._offset.seconds, registered,
             registered if found.fresh else memory.image,
             found.consistent_landmarks(self.config.landmarks.drop_chi2), memory.spread,
-            result.overlap,
+            result.overlap if found.sees_depth(self.config) else memory.overlap,
         )  # fmt: skip
 
     def _is_keyframe(self, found: Estimate) -> bool:
@@ -269,6 +301,11 @@ class Tracker:
         """
         config, frame, T = self.config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
+        T_world_depth = T @ registered.T_cam_cam_at_depth
+        agreement = self.gaussians.agreement(
+            T_world_depth, frame.depth_m, self.camera, config.sensor
+        )
+        self._usual = self._usual.with_keyframe(agreement)
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor)
         cloud = candidates(registered, last, self.camera, config)
         ids = spawn(
@@ -318,5 +355,7 @@ class Tracker:
         )  # fmt: skip
 
     def _state(self, spectrum: Observability) -> TrackingState:
+        if self._unconfirmed and self._relocalizer is None:
+            return TrackingState.RELOCALISED
         degenerate = spectrum.block_ratio > self.config.registration.degenerate_ratio
         return TrackingState.DEGENERATE if degenerate else TrackingState.OK

@@ -42,8 +42,8 @@ def score_map(
     """Read the source again and score each frame whose index is a multiple of `every`.
 
     `trajectory` holds the tracked poses; frames without a pose, as lost ones are, are skipped.
-    LPIPS is computed for about 40 of the views, spread evenly. Raises `MapFileError` for an invalid
-    map, `SourceError` if the source is not the one that the map was made from.
+    LPIPS is computed for about 40 of the views, spread evenly. Raises `MapFileError` for an
+    invalid map, `SourceError` if the source is not the one that the map was made from.
     """
     view, found = MapView(saved, renderer), MapScores()
     _check_size(saved, source)

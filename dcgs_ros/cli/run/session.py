@@ -96,8 +96,8 @@ class Session:
     def evaluate(self, every: int, workers: Workers) -> None:
         """Plot the trajectory, score the map on every `every`-th frame, print the summary."""
         record, deferred = self._record, self.deferred
-        trajectory = record.trajectory()
         with deferred:
+            trajectory = record.trajectory()
             truth = self._source.groundtruth if self._accuracy.ate is not None else None
             if len(trajectory):
                 write_plot(self._folder, record, truth)

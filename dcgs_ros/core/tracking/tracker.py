@@ -27,7 +27,7 @@ from .observability import Observability, observability, pose_covariance
 from .registration import DepthTerm, Registration
 from .relocalization import Relocalizer
 from .result import TrackingState, TrackResult
-from .verification import Evidence, Usual, is_repetition
+from .verification import Evidence, Usual, is_repetition, weigh
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
@@ -87,7 +87,9 @@ class Tracker:
         if self._first is not None:
             self._place_first(self._first, frame)
         found = estimate(frame, self._memory, self.gaussians, self.camera, self.config)
-        evidence = Evidence.of(found, self._memory, self._usual, self.config)
+        evidence = weigh(
+            found, self._memory, self._usual, self.gaussians, self.camera, self.config
+        )
         if evidence.contradicts or not found.is_trusted(self.config):
             return self._relocalize(frame, self._lose(), [found.registered.T_world_cam])
         last = self._memory.last

@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from .estimator import Estimate, Memory
+from .gaussian_map import GaussianMap
 from .registration import Registration
 
 _JUMP_SIGMAS = 6.0  # of a hand's acceleration; 4.2 in the fastest real turns measured
 _DOUBTFUL_SIGMAS = 3.0
-_OVERLAP_DROP = 0.6  # of the last frame's overlap; at least 0.77 there
-_DOUBTFUL_DROP = 0.85
+_OVERLAP_DROP = 0.85  # of the last frame's overlap: below, the agreement tells why
+_DISAGREEMENT = 0.8  # of the usual agreement
 _CHI2_RISE = 3.0  # of the usual median of depth's residuals; at most 2.4 there
+_DOUBTFUL_RISE = 1.8
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
 _SETTLING = 0.1  # share by which a frame changes what is usual
@@ -52,52 +55,74 @@ class Evidence:
 
     jump_sigmas: float  # from the predicted pose, translation or rotation
     overlap_ratio: float  # to the last frame's
+    agreement_ratio: float  # of the map with the frame, to the usual one; 1 if overlap is kept
     chi2_ratio: float  # median of the depth factors, to the usual one
     consistent: float  # share of the landmarks that agree with the pose; 1: there are none
 
-    @classmethod
-    def of(cls, found: Estimate, memory: Memory, usual: Usual, config: Config) -> Evidence:
-        """Weigh an estimate of the frame after those in `memory`."""
-        registered, result = found.registered, found.registration
-        prior = memory.motion.prior(registered.frame.stamp_ns)
-        jump = se3.log(se3.inverse(prior.T_world_cam) @ registered.T_world_cam)
-        consistent = 1.0
-        if result.image is not None:
-            chi2 = result.image.chi2(registered.T_world_cam)
-            consistent = float(np.mean(chi2 < config.landmarks.drop_chi2))
-        depth = (1.0, 1.0)
-        if found.sees_depth(config):
-            overlap = result.overlap / max(memory.overlap, 1e-9)
-            depth = (overlap, median_chi2(result) / usual.chi2)
-        return cls(
-            max(
-                float(np.linalg.norm(jump[:3])) / prior.sigma_m,
-                float(np.linalg.norm(jump[3:])) / prior.sigma_rad,
-            ),
-            *depth,
-            consistent,
-        )
+    @property
+    def misfits(self) -> bool:
+        """Whether the map explains less of the frame without having less to explain.
+
+        Where the view turns to what is not mapped yet, the overlap falls, but the frame sees all
+        that it should see of the map.
+        """
+        return self.overlap_ratio < _OVERLAP_DROP and self.agreement_ratio < _DISAGREEMENT
 
     @property
     def contradicts(self) -> bool:
-        """Whether the estimate is wrong: one jump or misfit that cannot be, or several doubts.
+        """Whether the estimate is wrong: a jump or a misfit that cannot be, or two doubts.
 
         Landmarks alone do not make it wrong, as things move and turn in front of a camera.
         """
-        if self.jump_sigmas > _JUMP_SIGMAS or self.overlap_ratio < _OVERLAP_DROP:
-            return True
-        doubts = self.jump_sigmas > _DOUBTFUL_SIGMAS or self.overlap_ratio < _DOUBTFUL_DROP
-        return self.chi2_ratio > _CHI2_RISE or (self.consistent < _DISSENT and doubts)
+        jumps = self.jump_sigmas > _DOUBTFUL_SIGMAS
+        dissent = self.consistent < _DISSENT
+        return (
+            self.jump_sigmas > _JUMP_SIGMAS
+            or self.chi2_ratio > _CHI2_RISE
+            or jumps + dissent + self.misfits >= 2
+        )
 
     @property
     def doubtful(self) -> bool:
         """Whether the map should not be extended by this frame."""
         return (
             self.jump_sigmas > _DOUBTFUL_SIGMAS
-            or self.overlap_ratio < _DOUBTFUL_DROP
+            or self.misfits
             or self.consistent < _DOUBTFUL_DISSENT
-            or self.chi2_ratio > 0.6 * _CHI2_RISE
+            or self.chi2_ratio > _DOUBTFUL_RISE
         )
+
+
+def weigh(
+    found: Estimate,
+    memory: Memory,
+    usual: Usual,
+    gaussians: GaussianMap,
+    camera: PinholeCamera,
+    config: Config,
+) -> Evidence:
+    """Return what speaks against an estimate of the frame after those in `memory`."""
+    registered, result = found.registered, found.registration
+    T, frame = registered.T_world_cam, registered.frame
+    prior = memory.motion.prior(frame.stamp_ns)
+    jump = se3.log(se3.inverse(prior.T_world_cam) @ T)
+    overlap = agreement = chi2 = consistent = 1.0
+    if found.sees_depth(config):
+        overlap = result.overlap / max(memory.overlap, 1e-9)
+        chi2 = median_chi2(result) / usual.chi2
+        if overlap < _OVERLAP_DROP:
+            T_depth = T @ registered.T_cam_cam_at_depth
+            share = gaussians.agreement(T_depth, frame.depth_m, camera, config.sensor)
+            agreement = share / usual.agreement
+    if result.image is not None:
+        consistent = float(np.mean(result.image.chi2(T) < config.landmarks.drop_chi2))
+    return Evidence(
+        max(
+            float(np.linalg.norm(jump[:3])) / prior.sigma_m,
+            float(np.linalg.norm(jump[3:])) / prior.sigma_rad,
+        ),
+        overlap, agreement, chi2, consistent,
+    )  # fmt: skip
 
 
 def is_repetition(frame: RgbdFrame, last: RgbdFrame) -> bool:

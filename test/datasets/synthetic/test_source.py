@@ -11,7 +11,7 @@ import pytest
 
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.datasets.synthetic.raycast import cast
-from dcgs_ros.datasets.synthetic.scenes import SCENE_NAMES
+from dcgs_ros.datasets.synthetic.scenes.catalogue import SCENE_NAMES
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.datasets.synthetic.textures import build_textures
 

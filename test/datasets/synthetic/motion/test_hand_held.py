@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dcgs_ros.datasets.synthetic.camera_motion import HandHeldPath
-from dcgs_ros.datasets.synthetic.scenes import SCENE_NAMES, build_scenario
+from dcgs_ros.datasets.synthetic.motion.hand_held import HandHeldPath
+from dcgs_ros.datasets.synthetic.scenes.catalogue import SCENE_NAMES, build_scenario
 
 SEEDS = range(5)
 TIMES_S = np.arange(0, 60, 1 / 30)

@@ -1,29 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The synthetic scenes: a furnished room, a textured plane, an untextured folding screen."""
+"""Scenes around a standing person: a furnished room, a textured plane, a folding screen."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
-from .camera_motion import PITCH, ROLL, YAW, Motion, Sway, Turn, X, Y, Z
-from .raycast import Scene
-from .scene_builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
+from ..motion.hand_held import Motion, Sway, Turn
+from ..motion.path import PITCH, ROLL, YAW, X, Y, Z
+from .builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
+from .scenario import Scenario
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """A scene, and the motion of the camera through it."""
-
-    scene: Scene
-    motion: Motion
-    pattern: float  # contrast of an infrared dot pattern on white at 1 m, grey levels
-
-
-def _room(rng: np.random.Generator) -> Scenario:
+def room(rng: np.random.Generator) -> Scenario:
     """Build a study of 5.6 x 4.8 x 2.6 m; the camera stays in its middle, facing the desks."""
     build = SceneBuilder()
     add_walls(build)
@@ -62,7 +51,7 @@ def _room(rng: np.random.Generator) -> Scenario:
     return Scenario(build.build((0.5, 0.0, 2.3), 0.55), motion, pattern=4.0)
 
 
-def _plane(rng: np.random.Generator) -> Scenario:
+def plane(rng: np.random.Generator) -> Scenario:
     """Build one textured plane: depth alone leaves three degrees of freedom unobserved."""
     build = SceneBuilder()
     build.box((0, 0, -0.01), (6, 6, 0.01), 'poster', 0.5)
@@ -78,7 +67,7 @@ def _plane(rng: np.random.Generator) -> Scenario:
     return Scenario(build.build((0.0, 0.0, 3.0), 0.6), motion, pattern=4.0)
 
 
-def _zigzag(rng: np.random.Generator) -> Scenario:
+def zigzag(rng: np.random.Generator) -> Scenario:
     """Build a folding screen before a wall, without texture: only geometry constrains."""
     build = SceneBuilder()
     build.box((0, -2.3, 1.5), (5.0, 3.5, 1.5), None, 1, (0.62, 0.64, 0.62))
@@ -99,16 +88,3 @@ def _zigzag(rng: np.random.Generator) -> Scenario:
         cycle_s=16.0,
     )  # fmt: skip
     return Scenario(build.build((-1.0, -2.0, 2.6), 0.5), motion, pattern=16.0)
-
-
-_SCENARIOS: dict[str, Callable[[np.random.Generator], Scenario]] = {
-    'room': _room,
-    'plane': _plane,
-    'zigzag': _zigzag,
-}
-SCENE_NAMES = tuple(_SCENARIOS)
-
-
-def build_scenario(name: str, seed: int) -> Scenario:
-    """Build one of `SCENE_NAMES`; the seed places the clutter."""
-    return _SCENARIOS[name](np.random.default_rng((seed, 2)))

@@ -48,7 +48,7 @@ class SyntheticOptions:
                 raise SourceError(f'{key}={value} is not within {low} to {high}')
 
     def of_scene(self, scene: str) -> SyntheticOptions:
-        """Return the options with the scene's own choices; raises `SourceError` for what it lacks."""
+        """Return the options with the scene's choices; raises `SourceError` for what it lacks."""
         if scene not in SCENES:
             raise SourceError(f'unknown scene {scene!r}: one of {", ".join(SCENES)}')
         kind = SCENES[scene]

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the sensors that misbehave deliver: repeats, holes, rolling rows, blur, dim light."""
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -37,7 +39,7 @@ def test_some_images_come_again(sensor, monkeypatch):
     ]
     stamps, depth_stamps, colors, depths = zip(*frames, strict=True)
     assert (np.diff(stamps) > 0).all() and (np.diff(depth_stamps) > 0).all()
-    again = np.array([a == b for a, b in zip(colors, colors[1:], strict=False)])
+    again = np.array([a == b for a, b in pairwise(colors)])
     depth_again = np.diff(depths) == 0
     assert again.mean() == pytest.approx(0.03, abs=0.01)
     assert depth_again.mean() == pytest.approx(0.02, abs=0.008)

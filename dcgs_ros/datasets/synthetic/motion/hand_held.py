@@ -65,6 +65,11 @@ class HandHeldPath:
         """Return T_world_cam (N, 4, 4) at times (N,), x right, y down, z forward; world z up."""
         return poses_of(self._channels(np.asarray(times_s, np.float64) * self._speed))
 
+    def ground(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return x, y, metres, and heading, radians (N, 3), of the camera above the ground."""
+        x, y, _, yaw, *_ = self._channels(np.asarray(times_s, np.float64) * self._speed)
+        return np.stack([x, y, np.deg2rad(yaw)], axis=1)
+
     def _channels(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in metres and angles in degrees (6, N) at times (N,) of the path."""
         motion = self._motion

@@ -20,6 +20,18 @@ class Path(Protocol):
         """Return T_world_cam (N, 4, 4) at times (N,), x right, y down, z forward; world z up."""
         ...
 
+    def ground(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return x, y, metres, and heading, radians (N, 3), of what carries the camera."""
+        ...
+
+
+class Motion(Protocol):
+    """What a scene intends a camera to do."""
+
+    def path(self, seed: int, speed: float) -> Path:
+        """Return the path, with the shake of a seed, at so many times the usual speed."""
+        ...
+
 
 def poses_of(channels: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return T_world_cam (N, 4, 4) of channels (6, N): metres, degrees.

@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from .corridor import corridor
+from .desk import desk
 from .furnished import plane, room, zigzag
+from .ring import ring
 from .scenario import Scenario
 
-_HAND = ('handheld',)
+_HAND, _WHEELS_FIRST = ('handheld',), ('wheeled', 'handheld')
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,9 @@ SCENES = {
     'room': SceneKind(room),
     'plane': SceneKind(plane),
     'zigzag': SceneKind(zigzag),
+    'desk': SceneKind(desk, sensor='d435i_measured'),
+    'corridor': SceneKind(corridor, _WHEELS_FIRST, 'd435i_measured'),
+    'ring': SceneKind(ring, _WHEELS_FIRST, 'd435i_measured', {'period': 0.0, 'direction': 'ccw'}),
 }
 SCENE_NAMES = tuple(SCENES)
 

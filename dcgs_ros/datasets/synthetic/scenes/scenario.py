@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..motion.hand_held import Motion
+from ..motion.path import Motion
 from ..raycast import Scene
 
 

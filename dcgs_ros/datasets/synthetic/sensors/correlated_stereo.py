@@ -76,7 +76,7 @@ def _matched(
 
 
 def _margin(view: SceneView, z: NDArray[np.float32], shot: Shot) -> NDArray[np.float32]:
-    """Return the logarithm (H, W) of contrast to the imagers' noise: matching needs more than 0."""
+    """Return the logarithm (H, W) of contrast to the imagers' noise; matching needs 0."""
     contrast, brightness = local_texture(view.radiance)
     ambient = np.float32(math.sqrt(min(1.0, _LONGER * shot.light)))
     dots = np.float32(shot.pattern / 200) * brightness * view.cosine / (z * z)

@@ -37,7 +37,7 @@ class UncalibratedLight:
         self._camera = StructuredLight()
 
     def bias(self, height: int, width: int) -> NDArray[np.float64]:
-        """Return the relative error (H, W) of depth; its mean is about zero, as scale is not it."""
+        """Return the relative error (H, W) of depth; its mean is about zero."""
         y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing='ij')
         terms = np.stack([x, y, x * y, x * x - 1 / 3, y * y - 1 / 3])
         field = np.tensordot(self._coefficients, terms, 1)

@@ -16,7 +16,9 @@ from ...core.camera import PinholeCamera
 from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
-from ..source import ImuSample
+from ..source import ImuSample, OdometrySample
+from .motion.imu import ACCELEROMETER_NOISE, GYRO_NOISE, NO_NOISE, T_CAM_IMU, measured_imu
+from .motion.odometry import NO_ERRORS, WHEELS, measured_odometry
 from .motion.path import image_motion
 from .options import SyntheticOptions, parse_address
 from .raycast import SceneView, cast
@@ -30,6 +32,9 @@ from .textures import build_textures
 _IndexT = TypeVar('_IndexT', int, NDArray[np.int64])
 _START_NS = 1_000_000_000_000
 _RATE_HZ = 30
+_MARGIN_S = 0.1  # by which IMU and odometry begin before the first frame and go on after the last
+IMU_FRAME = 'camera_imu_optical_frame'
+_BASE_FRAMES = ('odom', 'base_link')
 _LAG_STREAM, _REPEAT_STREAM = 3, 5
 
 
@@ -55,12 +60,15 @@ class SyntheticSource:
         self._lag_phases = np.random.default_rng((seed, _LAG_STREAM)).uniform(0, 2 * np.pi, 3)
         self.camera: PinholeCamera = self._kind.camera
         self.sensor: SensorNoise = self._depth_camera.noise
+        self.T_cam_imu = T_CAM_IMU  # IMU to colour camera
+        # Camera to base, on wheels, but for vibration; None where a hand holds the camera.
+        self.T_base_cam: NDArray[np.float64] | None = self._path.T_base_cam
         # True time of a depth image minus its stamp, which a tracker may estimate.
         self.colour_depth_offset_ms: float = self._depth_camera.offset_ms
 
     @classmethod
     def from_address(cls, address: str) -> SyntheticSource:
-        """Open `synthetic:scene[?frames=300&seed=0&sensor=kinect&speed=1&light=1&motion=...]`."""
+        """Open `synthetic:SCENE[?key=value&...]`; the keys are those of `SyntheticOptions`."""
         scene, options = parse_address(address)
         return cls(scene, options, address)
 
@@ -88,8 +96,30 @@ class SyntheticSource:
         return RgbdFrame(*self._stamps_ns(index), color, depth_m)
 
     def imu(self) -> Iterator[ImuSample]:
-        """Return nothing: there is no IMU."""
-        return iter(())
+        """Measure rates and specific forces at 200 Hz, axes parallel to the camera's."""
+        noises = (NO_NOISE, NO_NOISE) if self._kind.ideal else (GYRO_NOISE, ACCELEROMETER_NOISE)
+        for block in measured_imu(self._path, *self._span_s, self.options.seed, *noises):
+            stamps_ns = _START_NS + np.round(block.times_s * 1e9).astype(np.int64)
+            for stamp_ns, rate, force in zip(
+                stamps_ns.tolist(), block.rates.tolist(), block.forces.tolist(), strict=True
+            ):
+                yield ImuSample(stamp_ns, IMU_FRAME, tuple(force), tuple(rate))
+
+    def odometry(self) -> Iterator[OdometrySample]:
+        """Measure what wheels under the camera would at 50 Hz; where a hand holds it, as well."""
+        errors = NO_ERRORS if self._kind.ideal else WHEELS
+        for block in measured_odometry(self._path, *self._span_s, self.options.seed, errors):
+            stamps_ns = _START_NS + np.round(block.times_s * 1e9).astype(np.int64)
+            for stamp_ns, pose, velocity in zip(
+                stamps_ns.tolist(), block.poses.tolist(), block.velocities.tolist(), strict=True
+            ):
+                yield OdometrySample(stamp_ns, *_BASE_FRAMES, tuple(pose), tuple(velocity))
+
+    @property
+    def _span_s(self) -> tuple[float, float]:
+        """First and last second of what is measured beside the frames."""
+        last_ns = self._stamp_ns(self.options.frames - 1)
+        return -_MARGIN_S, (last_ns - _START_NS) * 1e-9 + _MARGIN_S
 
     @cached_property
     def groundtruth(self) -> Trajectory | None:

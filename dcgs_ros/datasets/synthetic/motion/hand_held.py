@@ -51,6 +51,8 @@ class Motion:
 class HandHeldPath:
     """A motion at some speed, with the shake of a seed."""
 
+    T_base_cam: NDArray[np.float64] | None = None
+
     def __init__(self, motion: Motion, seed: int, speed: float) -> None:
         """Draw the shake: five sines a channel, 0.4-2.2 Hz, amplitude falling as 1 / f."""
         self._motion, self._speed = motion, speed

@@ -16,6 +16,9 @@ _TYPICAL_DEPTH_M = 1.5
 class Path(Protocol):
     """Where a camera is at any time."""
 
+    # Camera to base (x forward, y left, z up, on the ground); None where a hand carries it.
+    T_base_cam: NDArray[np.float64] | None
+
     def poses(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return T_world_cam (N, 4, 4) at times (N,), x right, y down, z forward; world z up."""
         ...

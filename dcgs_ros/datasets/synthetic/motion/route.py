@@ -35,7 +35,7 @@ class Gait:
 
 
 # A small indoor robot: its vibration is of the wheels and of the mast that the camera is on.
-WHEELED = Gait(0.45, 0.8, 0.25, 0.55, -8.0, 0.0004, 0.12, (4.0, 14.0))
+WHEELED = Gait(0.45, 0.7, 0.25, 0.55, -8.0, 0.0004, 0.12, (4.0, 14.0))
 # A walker with the camera in the hands; steps are at about 2 Hz.
 HANDHELD = Gait(0.7, 1.0, 0.35, 1.35, -12.0, 0.02, 1.2, (0.5, 2.2), sway_deg=14.0)
 GAITS = {'wheeled': WHEELED, 'handheld': HANDHELD}
@@ -70,6 +70,8 @@ class RoutePath:
         ahead[-1] = ahead[0]
         self._ahead = CubicSpline(times, ahead, bc_type='periodic')
         self._gait, self._speed = gait, speed
+        mast = np.array([[0.0, 0.0, gait.height_m, 0.0, gait.pitch_deg, 0.0]]).T
+        self.T_base_cam: NDArray[np.float64] | None = None if gait.sway_deg else poses_of(mast)[0]
         self._shake = _Shake(gait, seed)
 
     def poses(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:

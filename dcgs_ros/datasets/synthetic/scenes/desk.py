@@ -43,4 +43,4 @@ def desk(rng: np.random.Generator) -> Scenario:
             Turn(YAW, 18.5, -100.0, 1.3), Turn(PITCH, 18.5, -12.0, 1.3),
         ),
     )  # fmt: skip
-    return Scenario(build.build((1.3, -0.9, 1.9), 0.16), motion, pattern=14.0)
+    return Scenario(build.build((1.3, -0.9, 1.9), 0.11), motion, pattern=14.0)

@@ -8,12 +8,18 @@ import numpy as np
 
 from ..motion.hand_held import Motion, Sway, Turn
 from ..motion.path import PITCH, ROLL, YAW, X, Y, Z
+from ..motion.route import GAITS, Route
 from .builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
 from .scenario import Scenario
 
+_ROUND_THE_ROOM = ((-1.4, -1.0), (0.6, -1.0), (0.6, 1.2), (-1.4, 1.2))
 
-def room(rng: np.random.Generator) -> Scenario:
-    """Build a study of 5.6 x 4.8 x 2.6 m; the camera stays in its middle, facing the desks."""
+
+def room(rng: np.random.Generator, motion: str) -> Scenario:
+    """Build a study of 5.6 x 4.8 x 2.6 m.
+
+    In the hand the camera stays in its middle, facing the desks; on wheels it goes round.
+    """
     build = SceneBuilder()
     add_walls(build)
     add_desk(build, rng, np.array([1.9, -1.75]), np.array([2.76, -0.05]), 0.74, 13)
@@ -32,7 +38,7 @@ def room(rng: np.random.Generator) -> Scenario:
         build.box((1.53, y, 0.7), (0.02, 0.2, 0.22), 'carpet', 1.2, (0.8, 0.6, 0.6))
     add_clutter(build, rng, np.array([0.9, -1.7]), np.array([1.5, 1.9]), 0.004, 8)
     build.box((0.5, 0.0, 2.52), (0.6, 0.15, 0.05), None, 1, (1.3, 1.3, 1.25))
-    motion = Motion(
+    hand = Motion(
         centre=(0.35, 0.0, 1.28, 0.0, -17.0, 0.0),
         sways=(
             Sway(X, 0.45, 13.0), Sway(X, 0.14, 5.9, 1.0),
@@ -48,7 +54,8 @@ def room(rng: np.random.Generator) -> Scenario:
             Turn(YAW, 18.0, 25.0, 0.5), Turn(YAW, 19.0, -25.0, 0.55),
         ),
     )  # fmt: skip
-    return Scenario(build.build((0.5, 0.0, 2.3), 0.55), motion, pattern=4.0)
+    moves = hand if motion == 'handheld' else Route(_ROUND_THE_ROOM, GAITS[motion])
+    return Scenario(build.build((0.5, 0.0, 2.3), 0.55), moves, pattern=4.0)
 
 
 def plane(rng: np.random.Generator) -> Scenario:

@@ -19,7 +19,7 @@ from ...core.trajectory import Trajectory
 from ..source import ImuSample, OdometrySample
 from .motion.imu import ACCELEROMETER_NOISE, GYRO_NOISE, NO_NOISE, T_CAM_IMU, measured_imu
 from .motion.odometry import NO_ERRORS, WHEELS, measured_odometry
-from .motion.path import image_motion
+from .motion.path import ImageMotion
 from .options import SyntheticOptions, parse_address
 from .raycast import SceneView, cast
 from .scenes.catalogue import SCENES, build_scenario
@@ -59,6 +59,7 @@ class SyntheticSource:
         self._depth_camera: DepthCamera = self._kind.depth(seed)
         self._lag_phases = np.random.default_rng((seed, _LAG_STREAM)).uniform(0, 2 * np.pi, 3)
         self.camera: PinholeCamera = self._kind.camera
+        self._image_motion = ImageMotion(self._path, _RATE_HZ, self.camera.focal)
         self.sensor: SensorNoise = self._depth_camera.noise
         self.T_cam_imu = T_CAM_IMU  # IMU to colour camera
         # Camera to base, on wheels, but for vibration; None where a hand holds the camera.
@@ -79,15 +80,13 @@ class SyntheticSource:
     def __iter__(self) -> Iterator[RgbdFrame]:
         """Render the frames from the first; the bytes are the same each time."""
         exposure = self._settled(0) if self._kind.metered else AutoExposure()
-        last: RgbdFrame | None = None
+        color, depth_m = np.empty(0, np.uint8), np.empty(0, np.float32)
         for index in range(self.options.frames):
-            color_again, depth_again = self._repeats[index]
-            stamp_ns, depth_stamp_ns = self._stamps_ns(index)
             # An image that comes again has the stamps of the one that should have come.
-            color = last.color.copy() if last and color_again else self._color(index, exposure)
-            depth_m = last.depth_m.copy() if last and depth_again else self._depth(index)
-            last = RgbdFrame(stamp_ns, depth_stamp_ns, color, depth_m)
-            yield last
+            color_again, depth_again = self._repeats[index]
+            color = color.copy() if color_again else self._color(index, exposure)
+            depth_m = depth_m.copy() if depth_again else self._depth(index)
+            yield RgbdFrame(*self._stamps_ns(index), color, depth_m)
 
     def render(self, index: int) -> RgbdFrame:
         """Render one frame at unit gain, or as exposure would settle on it, and never repeated."""
@@ -152,13 +151,8 @@ class SyntheticSource:
         rng = np.random.default_rng((self.options.seed, _REPEAT_STREAM))
         shares = self._kind.repeated_color, self._kind.repeated_depth
         drawn: NDArray[np.bool_] = rng.random((self.options.frames, 2)) < shares
+        drawn[0] = False
         return drawn
-
-    @cached_property
-    def _travel_px(self) -> NDArray[np.float64]:
-        """(frames,) by how much the image has moved since the first frame."""
-        assert self.groundtruth is not None
-        return image_motion(self.groundtruth.T_world_cam, self.camera.focal)
 
     def _settled(self, index: int) -> MeteredExposure:
         return MeteredExposure(self._see(index).radiance)
@@ -192,7 +186,7 @@ class SyntheticSource:
         x, y = self._depth_camera.shift_px
         camera = replace(self.camera, cx=self.camera.cx + x, cy=self.camera.cy + y)
         view = self._cast(camera, true_ns, color=self._depth_camera.sees_texture)
-        options, travel_px = self.options, float(self._travel_px[index])
+        options, travel_px = self.options, self._image_motion(index)
         shot = Shot(options.seed, index, self._scenario.pattern, options.light, travel_px)
         return self._depth_camera.measure(view, camera, shot)
 

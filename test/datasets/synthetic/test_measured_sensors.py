@@ -168,3 +168,18 @@ def test_light_changes_the_image_only_by_blur_and_noise():
             assert grey.mean() == pytest.approx(112, abs=4)
     assert noise[1] > 1.7 * noise[0] and noise[2] > 1.7 * noise[1]
     assert grey.mean() < 70
+
+
+def test_lasting_noise_is_told_how_far_the_image_has_moved(monkeypatch):
+    """In a fast turn by many pixels a frame, in a slow sway by few; 1.5 m away as by an angle."""
+    shots = {}
+    for speed in (1, 0.1):
+        source = open_source(f'room?sensor=d435i_measured&speed={speed}')
+        monkeypatch.setattr(source._depth_camera, 'measure', lambda *given: given[-1].travel_px)
+        shots[speed] = [source._depth(k) for k in (0, TURN_FRAME, TURN_FRAME + 1, 299)]
+    assert shots[1][0] == shots[0.1][0] == 0
+    ahead = open_source('room').groundtruth.T_world_cam[[TURN_FRAME, TURN_FRAME + 1], :3]
+    turned = np.arccos(ahead[0, :, 2] @ ahead[1, :, 2])
+    moved = np.linalg.norm(ahead[1, :, 3] - ahead[0, :, 3]) / 1.5
+    assert shots[1][2] - shots[1][1] == pytest.approx(615 * (turned + moved), rel=0.01)
+    assert shots[0.1][3] < 0.3 * shots[1][3]

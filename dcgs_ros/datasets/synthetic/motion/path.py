@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 X, Y, Z, YAW, PITCH, ROLL = range(6)
 _TYPICAL_DEPTH_M = 1.5
+_BLOCK = 256  # frames
 
 
 class Path(Protocol):
@@ -58,13 +59,29 @@ def poses_of(channels: NDArray[np.float64]) -> NDArray[np.float64]:
     return poses
 
 
-def image_motion(T_world_cam: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
-    """Return by how many pixels the image has moved (N,) along poses (N, 4, 4), things 1.5 m away.
+class ImageMotion:
+    """By how many pixels the image has moved since the first frame, things 1.5 m away.
 
-    It only grows: the sum of what turning and moving do to the middle of the image.
+    It only grows: the sum of what turning and moving do to the middle of the image. Summed up in
+    fixed blocks, as far as it is asked for: the same for a frame however it is reached.
     """
-    steps = np.diff(T_world_cam[:, :3, 3], axis=0)
-    across = np.linalg.norm(steps, axis=1) / _TYPICAL_DEPTH_M
-    # The chord between optical axes is the angle, for the small ones between frames.
-    turned = np.linalg.norm(np.diff(T_world_cam[:, :3, 2], axis=0), axis=1)
-    return focal_px * np.concatenate([[0.0], np.cumsum(across + turned)])
+
+    def __init__(self, path: Path, rate_hz: int, focal_px: float) -> None:
+        """Begin at time 0."""
+        self._path, self._rate_hz, self._focal_px = path, rate_hz, focal_px
+        self._sums = [np.zeros(1)]
+
+    def __call__(self, index: int) -> float:
+        """Return the pixels until frame `index`."""
+        while len(self._sums) <= index // _BLOCK + 1:
+            first = (len(self._sums) - 1) * _BLOCK
+            poses = self._path.poses(np.arange(first, first + _BLOCK + 1) / self._rate_hz)
+            across = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / _TYPICAL_DEPTH_M
+            # The chord between optical axes is the angle, for the small ones between frames.
+            turned = np.linalg.norm(np.diff(poses[:, :3, 2], axis=0), axis=1)
+            start = self._sums[-1][-1]
+            self._sums.append(start + self._focal_px * np.cumsum(across + turned))
+        if index == 0:
+            return 0.0
+        block, place = divmod(index - 1, _BLOCK)
+        return float(self._sums[block + 1][place])

@@ -44,6 +44,17 @@ class ImuSample:
     angular_velocity: tuple[float, float, float] | None  # rad/s
 
 
+@dataclass(frozen=True)
+class OdometrySample:
+    """What the wheels say: where the base has come since the first sample, and how it moves."""
+
+    stamp_ns: int
+    frame: str  # of the pose: the base's at the first sample
+    base_frame: str  # x forward, y left, z up, on the ground
+    pose: tuple[float, float, float]  # x, y, metres, and heading, radians
+    velocity: tuple[float, float, float]  # of the base: forward, left, m/s, turning left, rad/s
+
+
 class Source(Protocol):
     """A finite sequence of frames in order of their colour stamps."""
 

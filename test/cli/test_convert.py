@@ -25,6 +25,7 @@ from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.bag.writing.storage import STORAGES
 from dcgs_ros.datasets.custom import open_custom
 from dcgs_ros.datasets.source import Source
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.datasets.tum.source import open_tum
 
 pytest.importorskip('rosbags')
@@ -168,6 +169,15 @@ def test_a_signal_midway_leaves_nothing(tmp_path: Path, kind: str, number: signa
     assert (process.returncode, out) == (128 + number, '')
     assert err == f'dcgs: stopped; {dest} is not written\n'
     assert list(dest.parent.iterdir()) == []
+
+
+def test_a_synthetic_sequence_is_converted_with_its_imu(tmp_path: Path) -> None:
+    address = 'synthetic:corridor?frames=5'
+    assert convert(address, tmp_path / 'a') == 0
+    converted = list(BagSource(tmp_path / 'a').imu())
+    original = list(SyntheticSource.from_address(address).imu())
+    assert len(converted) > 25 and set(converted) <= set(original)
+    assert converted == original[original.index(converted[0]) :]
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
-from .raycast_kernels import BOX, FAR, NEAR_M, SPHERE, cast_tiles
+from .raycast_kernels import BOX, FAR, NEAR_M, SPHERE, cast_rolling_tiles, cast_tiles
 from .textures import Textures
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # (8, 3)
@@ -70,6 +70,13 @@ class Primitives(NamedTuple):
     lamps: NDArray[np.float32]  # (P, 3) position of the lamp
 
 
+class RowMotion(NamedTuple):
+    """Where the camera of each row is, in the camera at the middle of the readout."""
+
+    turns: NDArray[np.float32]  # (H, 3, 3) rotation from the row's camera
+    offsets: NDArray[np.float32]  # (H, 3) metres
+
+
 def cast(
     scene: Scene,
     textures: Textures,
@@ -77,29 +84,41 @@ def cast(
     T_world_cam: NDArray[np.float64],
     *,
     color: bool,
+    T_world_rows: NDArray[np.float64] | None = None,
 ) -> SceneView:
-    """Render depth, and colour if wanted, for a camera without distortion at a pose (4, 4)."""
+    """Render depth, and colour if wanted, for a camera without distortion at a pose (4, 4).
+
+    With a rolling shutter `T_world_rows` (H, 4, 4) are the poses of the rows. Depth is then that
+    in the row's camera.
+    """
     height, width = camera.height, camera.width
     view = SceneView(
         np.empty((height, width), np.float32),
         np.empty((height, width), np.float32),
         np.empty((height, width, 3) if color else (0, 0, 3), np.float32),
     )
-    cast_tiles(
-        _visible(scene, camera, T_world_cam),
+    rays = (
         ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32),
         ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32),
-        np.float32(1 / camera.focal),
-        np.float32(scene.ambient),
-        textures,
-        view.depth_m,
-        view.cosine,
-        view.radiance,
     )
+    prims = _visible(scene, camera, T_world_cam, T_world_rows)
+    light = np.float32(1 / camera.focal), np.float32(scene.ambient)
+    planes = view.depth_m, view.cosine, view.radiance
+    if T_world_rows is None:
+        cast_tiles(prims, rays, *light, textures, planes)
+    else:
+        T_cam_rows = (np.linalg.inv(T_world_cam) @ T_world_rows).astype(np.float32)
+        rows = RowMotion(T_cam_rows[:, :3, :3].copy(), T_cam_rows[:, :3, 3].copy())
+        cast_rolling_tiles(prims, rows, rays, *light, textures, planes)
     return view
 
 
-def _visible(scene: Scene, camera: PinholeCamera, T_world_cam: NDArray[np.float64]) -> Primitives:
+def _visible(
+    scene: Scene,
+    camera: PinholeCamera,
+    T_world_cam: NDArray[np.float64],
+    T_world_rows: NDArray[np.float64] | None,
+) -> Primitives:
     """Transform camera and lamp to each primitive's frame, drop invisible ones, sort by depth."""
     R_local_world = scene.R_world_local.transpose(0, 2, 1)
     origins = np.einsum('pij,pj->pi', R_local_world, T_world_cam[:3, 3] - scene.centres)
@@ -107,6 +126,12 @@ def _visible(scene: Scene, camera: PinholeCamera, T_world_cam: NDArray[np.float6
     rotations = R_local_world @ T_world_cam[:3, :3]
     room = (scene.kinds == BOX) & (np.abs(origins) < scene.halves).all(axis=1)
     nearest, bounds = _screen_bounds(origins, rotations, scene.halves, room, camera)
+    for T in () if T_world_rows is None else T_world_rows[[0, -1]]:
+        other = np.einsum('pij,pj->pi', R_local_world, T[:3, 3] - scene.centres)
+        least, box = _screen_bounds(other, R_local_world @ T[:3, :3], scene.halves, room, camera)
+        nearest = np.minimum(nearest, least)
+        bounds[:, ::2] = np.minimum(bounds[:, ::2], box[:, ::2] - 1)
+        bounds[:, 1::2] = np.maximum(bounds[:, 1::2], box[:, 1::2] + 1)
     order = np.argsort(nearest, kind='stable')  # front to back: most tiles stop early
     order = order[bounds[order, 0] <= bounds[order, 1]]
     return Primitives(

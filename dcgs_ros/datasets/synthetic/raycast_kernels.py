@@ -169,16 +169,30 @@ def _light(normal, point, lamp, ambient):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _trace_tile(prims, row_x, row_y, x0, y0):
+def _place_row(turn, offset, o, R, row_o, row_R):
+    """Write a row's `row_o` (3,) and `row_R` (3, 3), which are to it what `o` and `R` are.
+
+    `turn` (3, 3) and `offset` (3,) map the row's camera to the camera of `o` and `R`.
+    """
+    for i in range(3):
+        row_o[i] = o[i] + R[i, 0] * offset[0] + R[i, 1] * offset[1] + R[i, 2] * offset[2]
+        for j in range(3):
+            row_R[i, j] = R[i, 0] * turn[0, j] + R[i, 1] * turn[1, j] + R[i, 2] * turn[2, j]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _trace_tile(prims, rows, row_x, row_y, x0, y0):
     """Return depth (h, w), metres, and index (h, w) of the nearest primitive of a tile's pixels.
 
-    `prims` is a `Primitives`; `row_x` (w,) and `row_y` (h,) are the pixels' x/z and y/z, and the
-    tile begins at pixel (x0, y0). Where nothing is hit, depth is `FAR` and the index -1.
+    `prims` is a `Primitives`, `rows` a `RowMotion` or None; `row_x` (w,) and `row_y` (h,) are the
+    pixels' x/z and y/z, and the tile begins at pixel (x0, y0). Where nothing is hit, depth is
+    `FAR` and the index -1.
     """
     best = np.full((row_y.shape[0], row_x.shape[0]), FAR, np.float32)
     hit = np.full(best.shape, -1, np.int32)
     x1, y1 = x0 + row_x.shape[0], y0 + row_y.shape[0]
     farthest = FAR
+    row_o, row_R = np.empty(3, np.float32), np.empty((3, 3), np.float32)
     for p in range(prims.kinds.shape[0]):
         if prims.nearest[p] > farthest:
             break
@@ -187,6 +201,10 @@ def _trace_tile(prims, row_x, row_y, x0, y0):
             continue
         o, R, half = prims.origins[p], prims.rotations[p], prims.halves[p]
         for k in range(row_y.shape[0]):
+            if rows is not None:
+                turn, offset = rows.turns[y0 + k], rows.offsets[y0 + k]
+                _place_row(turn, offset, prims.origins[p], prims.rotations[p], row_o, row_R)
+                o, R = row_o, row_R
             if prims.kinds[p] == SPHERE:
                 _meet_sphere(row_x, row_y[k], o, R, half[0], p, best[k], hit[k])
             else:
@@ -196,13 +214,22 @@ def _trace_tile(prims, row_x, row_y, x0, y0):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _shade_tile(prims, textures, best, hit, row_x, row_y, pixel, ambient, depth, cosine, radiance):
-    """Write `depth` (h, w), metres, `cosine` (h, w) and `radiance` (h, w, 3) of a tile's pixels.
-
-    `prims` is a `Primitives`, `textures` a `Textures`; `best` and `hit` (h, w) are those of
-    `_trace_tile`, `row_x` (w,) and `row_y` (h,) the pixels' x/z and y/z, and `pixel` the extent of
-    one at depth 1. An empty `radiance` is not written.
-    """
+def _shade_tile(
+    prims,  # `Primitives`
+    rows,  # `RowMotion` or None
+    textures,  # `Textures`
+    best,  # (h, w) depth, as `_trace_tile` returns it
+    hit,  # (h, w) index
+    row_x,  # (w,) the pixels' x/z
+    row_y,  # (h,) the pixels' y/z
+    y0,  # first row
+    pixel,  # extent of a pixel at depth 1
+    ambient,  # share of the light
+    depth,  # (h, w) out, metres
+    cosine,  # (h, w) out
+    radiance,  # (h, w, 3) out; empty: not wanted
+):
+    """Write `depth`, `cosine` and `radiance` of a tile's pixels."""
     # Arrays are read here and only numbers passed on, as passing tuples of arrays is slow.
     R, o, h, lamps = prims.rotations, prims.origins, prims.halves, prims.lamps
     mappings, tints = prims.mappings, prims.tints
@@ -215,12 +242,23 @@ def _shade_tile(prims, textures, best, hit, row_x, row_y, pixel, ambient, depth,
                 if radiance.shape[0]:
                     radiance[y, x, 0] = radiance[y, x, 1] = radiance[y, x, 2] = _BACKGROUND
                 continue
+            o0, o1, o2 = o[p, 0], o[p, 1], o[p, 2]
+            d0, d1, d2 = dx, dy, np.float32(1.0)
+            if rows is not None:
+                T, t = rows.turns, rows.offsets
+                k = y0 + y
+                d0 = T[k, 0, 0] * dx + T[k, 0, 1] * dy + T[k, 0, 2]
+                d1 = T[k, 1, 0] * dx + T[k, 1, 1] * dy + T[k, 1, 2]
+                d2 = T[k, 2, 0] * dx + T[k, 2, 1] * dy + T[k, 2, 2]
+                o0 += R[p, 0, 0] * t[k, 0] + R[p, 0, 1] * t[k, 1] + R[p, 0, 2] * t[k, 2]
+                o1 += R[p, 1, 0] * t[k, 0] + R[p, 1, 1] * t[k, 1] + R[p, 1, 2] * t[k, 2]
+                o2 += R[p, 2, 0] * t[k, 0] + R[p, 2, 1] * t[k, 1] + R[p, 2, 2] * t[k, 2]
             ray = (
-                R[p, 0, 0] * dx + R[p, 0, 1] * dy + R[p, 0, 2],
-                R[p, 1, 0] * dx + R[p, 1, 1] * dy + R[p, 1, 2],
-                R[p, 2, 0] * dx + R[p, 2, 1] * dy + R[p, 2, 2],
+                R[p, 0, 0] * d0 + R[p, 0, 1] * d1 + R[p, 0, 2] * d2,
+                R[p, 1, 0] * d0 + R[p, 1, 1] * d1 + R[p, 1, 2] * d2,
+                R[p, 2, 0] * d0 + R[p, 2, 1] * d1 + R[p, 2, 2] * d2,
             )
-            point = (o[p, 0] + s * ray[0], o[p, 1] + s * ray[1], o[p, 2] + s * ray[2])
+            point = (o0 + s * ray[0], o1 + s * ray[1], o2 + s * ray[2])
             half = (h[p, 0], h[p, 1], h[p, 2])
             normal, u, v, face = _surface(prims.kinds[p], ray, point, half)
             slant = abs(normal[0] * ray[0] + normal[1] * ray[1] + normal[2] * ray[2])
@@ -243,37 +281,51 @@ def _shade_tile(prims, textures, best, hit, row_x, row_y, pixel, ambient, depth,
                 radiance[y, x, 2] = light * tints[p, 2] * b
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def _cast_tile(tile, prims, rows, rays, pixel, ambient, textures, planes):
+    """Write the pixels of one tile; the arguments are those of `cast_tiles`."""
+    (ray_x, ray_y), (depth, cosine, radiance) = rays, planes
+    height, width = depth.shape
+    columns = (width + _TILE - 1) // _TILE
+    x0, y0 = (tile % columns) * _TILE, (tile // columns) * _TILE
+    x1, y1 = min(x0 + _TILE, width), min(y0 + _TILE, height)
+    row_x, row_y = ray_x[x0:x1], ray_y[y0:y1]
+    best, hit = _trace_tile(prims, rows, row_x, row_y, x0, y0)
+    _shade_tile(
+        prims,
+        rows,
+        textures,
+        best,
+        hit,
+        row_x,
+        row_y,
+        y0,
+        pixel,
+        ambient,
+        depth[y0:y1, x0:x1],
+        cosine[y0:y1, x0:x1],
+        radiance[y0:y1, x0:x1],
+    )
+
+
 @njit(cache=True, nogil=True, fastmath=True, parallel=True)
 def cast_tiles(
     prims,  # `Primitives`
-    ray_x,  # (W,) float32, x/z of each column
-    ray_y,  # (H,) float32, y/z of each row
+    rays,  # (W,), (H,) float32, x/z of each column and y/z of each row
     pixel,  # extent of a pixel at depth 1
     ambient,  # share of the light
     textures,  # `Textures`
-    depth,  # (H, W) float32 out, metres
-    cosine,  # (H, W) float32 out, between ray and normal
-    radiance,  # (H, W, 3) float32 out, grey levels; or (0, 0, 3): not wanted
+    planes,  # depth, cosine, radiance of `SceneView`, out; radiance (0, 0, 3): not wanted
 ):
-    """Write `depth`, `cosine` and `radiance` (H, W[, 3]) by tiles, for locality and culling."""
-    height, width = depth.shape
-    columns = (width + _TILE - 1) // _TILE
-    rows = (height + _TILE - 1) // _TILE
-    for tile in prange(columns * rows):
-        x0, y0 = (tile % columns) * _TILE, (tile // columns) * _TILE
-        x1, y1 = min(x0 + _TILE, width), min(y0 + _TILE, height)
-        row_x, row_y = ray_x[x0:x1], ray_y[y0:y1]
-        best, hit = _trace_tile(prims, row_x, row_y, x0, y0)
-        _shade_tile(
-            prims,
-            textures,
-            best,
-            hit,
-            row_x,
-            row_y,
-            pixel,
-            ambient,
-            depth[y0:y1, x0:x1],
-            cosine[y0:y1, x0:x1],
-            radiance[y0:y1, x0:x1],
-        )
+    """Write `planes` (H, W[, 3]) by tiles, for locality and culling."""
+    height, width = planes[0].shape
+    for tile in prange(((width + _TILE - 1) // _TILE) * ((height + _TILE - 1) // _TILE)):
+        _cast_tile(tile, prims, None, rays, pixel, ambient, textures, planes)
+
+
+@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+def cast_rolling_tiles(prims, rows, rays, pixel, ambient, textures, planes):
+    """Do as `cast_tiles`, with each row's own camera: `rows` is a `RowMotion`."""
+    height, width = planes[0].shape
+    for tile in prange(((width + _TILE - 1) // _TILE) * ((height + _TILE - 1) // _TILE)):
+        _cast_tile(tile, prims, rows, rays, pixel, ambient, textures, planes)

@@ -144,6 +144,15 @@ def _keys(rng: np.random.Generator) -> NDArray[np.floating]:
     return image
 
 
+def _tiles(rng: np.random.Generator) -> NDArray[np.floating]:
+    """Two by two floor tiles, nearly alike, with joints."""
+    image = _blank(160) + 3 * _clouds(rng, (16, 16)) + 3 * _clouds(rng, (128, 128))
+    image *= np.repeat(np.repeat(rng.uniform(0.96, 1.04, (2, 2, 1)), 512, 0), 512, 1)
+    for k in (0, 512):
+        image[k : k + 9] = image[:, k : k + 9] = 105
+    return image
+
+
 _MAKERS: dict[str, Callable[[np.random.Generator], NDArray[np.floating]]] = {
     'poster': _poster,
     'books': _books,
@@ -152,13 +161,14 @@ _MAKERS: dict[str, Callable[[np.random.Generator], NDArray[np.floating]]] = {
     'plaster': _plaster,
     'print': _print,
     'keys': _keys,
+    'tiles': _tiles,
 }
 TEXTURE_NAMES = tuple(_MAKERS)
 
 
 @lru_cache(maxsize=1)
 def build_textures() -> Textures:
-    """Draw all textures, identical in every process; about 40 MB."""
+    """Draw all textures, identical in every process; about 45 MB."""
     sizes = [TEXTURE_SIZE >> level for level in range(MIP_LEVELS)]
     ends = np.cumsum([size * size for _ in _MAKERS for size in sizes])
     starts = np.concatenate([[0], ends[:-1]]).reshape(len(_MAKERS), MIP_LEVELS)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-X, Y, Z, YAW, PITCH, ROLL = range(6)
+from .path import poses_of
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,15 @@ class Motion:
     shake_m: float = 0.008  # amplitude at 1 Hz
     shake_deg: float = 0.6  # amplitude at 1 Hz
 
+    def path(self, seed: int, speed: float) -> HandHeldPath:
+        """Return the path of a hand that moves so."""
+        return HandHeldPath(self, seed, speed)
+
 
 class HandHeldPath:
     """A motion at some speed, with the shake of a seed."""
+
+    T_base_cam: NDArray[np.float64] | None = None
 
     def __init__(self, motion: Motion, seed: int, speed: float) -> None:
         """Draw the shake: five sines a channel, 0.4-2.2 Hz, amplitude falling as 1 / f."""
@@ -59,21 +65,12 @@ class HandHeldPath:
 
     def poses(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return T_world_cam (N, 4, 4) at times (N,), x right, y down, z forward; world z up."""
-        x, y, z, *angles = self._channels(np.asarray(times_s, np.float64) * self._speed)
-        yaw, pitch, roll = np.deg2rad(angles)
-        zero = np.zeros_like(yaw)
-        forward = np.stack(
-            [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], axis=1
-        )
-        level = np.stack([np.sin(yaw), -np.cos(yaw), zero], axis=1)
-        down = np.cross(forward, level)
-        c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
-        poses = np.tile(np.eye(4), (len(yaw), 1, 1))
-        poses[:, :3, 0] = c * level + s * down
-        poses[:, :3, 1] = c * down - s * level
-        poses[:, :3, 2] = forward
-        poses[:, :3, 3] = np.stack([x, y, z], axis=1)
-        return poses
+        return poses_of(self._channels(np.asarray(times_s, np.float64) * self._speed))
+
+    def ground(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return x, y, metres, and heading, radians (N, 3), of the camera above the ground."""
+        x, y, _, yaw, *_ = self._channels(np.asarray(times_s, np.float64) * self._speed)
+        return np.stack([x, y, np.deg2rad(yaw)], axis=1)
 
     def _channels(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in metres and angles in degrees (6, N) at times (N,) of the path."""

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dcgs_ros.datasets.synthetic.camera_motion import HandHeldPath
-from dcgs_ros.datasets.synthetic.scenes import SCENE_NAMES, build_scenario
+from dcgs_ros.datasets.synthetic.motion.hand_held import HandHeldPath
+from dcgs_ros.datasets.synthetic.scenes.catalogue import build_scenario
 
+SCENES = ('room', 'plane', 'zigzag', 'desk')
 SEEDS = range(5)
 TIMES_S = np.arange(0, 60, 1 / 30)
 CLEARANCE_M = 0.4
@@ -23,7 +24,7 @@ def angular_rates(poses):
     return np.rad2deg((first.inv() * second).magnitude()) * 30
 
 
-@pytest.mark.parametrize('scene', SCENE_NAMES)
+@pytest.mark.parametrize('scene', SCENES)
 @pytest.mark.parametrize('seed', SEEDS)
 def test_path_is_rigid_and_clear_of_things(scene, seed):
     """R^T R = 1, det R = 1; no surface is nearer than a forearm."""
@@ -56,7 +57,7 @@ def test_double_speed_is_the_same_path_twice_as_fast():
     np.testing.assert_allclose(fast.poses(TIMES_S), slow.poses(2 * TIMES_S), atol=1e-12)
 
 
-@pytest.mark.parametrize('scene', SCENE_NAMES)
+@pytest.mark.parametrize('scene', SCENES)
 def test_turns_add_up_to_nothing(scene):
     """Otherwise the path would jump at the start of each cycle."""
     motion = build_scenario(scene, 0).motion

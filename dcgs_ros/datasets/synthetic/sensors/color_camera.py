@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Simulated colour camera: lens, motion blur, auto-exposure and noise."""
+"""Simulated colour camera: lens, motion blur and noise."""
 
 from __future__ import annotations
 
@@ -11,41 +11,14 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from ...core.camera import PinholeCamera
-from .noise import white_noise
-from .raycast import SceneView
+from ....core.camera import PinholeCamera
+from ..noise import white_noise
+from ..raycast import SceneView
+from .exposure import Exposure
 
-EXPOSURE_S = 0.010
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 _NOISE_STREAM = 10
 _LENS_SIGMA_PX = 0.5  # also smooths the ray caster's aliased silhouettes
-_MOST_TAPS = 9
-
-
-class AutoExposure:
-    """A gain that follows the mean brightness with a lag."""
-
-    target = 112.0  # grey levels
-    response = 0.07  # share of the error corrected from one frame to the next, in log gain
-
-    def __init__(self) -> None:
-        """Start at unit gain."""
-        self.gain = 1.0
-
-    def react(self, radiance: NDArray[np.float32]) -> None:
-        """Choose the gain of the next image from this one (H, W, 3)."""
-        mean = max(float(radiance[::8, ::8].mean(dtype=np.float64)), 1.0)
-        self.gain *= (self.target / (mean * self.gain)) ** self.response
-        self.gain = min(max(self.gain, 0.4), 3.0)
-
-
-class FixedExposure:
-    """A constant gain of one."""
-
-    gain = 1.0
-
-    def react(self, radiance: NDArray[np.float32]) -> None:
-        """Ignore the image."""
 
 
 def through_lens(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -62,7 +35,7 @@ def expose(
     view: SceneView,
     camera: PinholeCamera,
     T_later_now: NDArray[np.float64],
-    gain: float,
+    exposure: Exposure,
     seed: int,
     index: int,
 ) -> NDArray[np.uint8]:
@@ -76,11 +49,23 @@ def expose(
     image = np.empty((height, width, 3), np.uint8)
     intrinsics = camera.parameters[:4].astype(np.float32)
     motion = T_later_now[:3].astype(np.float32)
-    _expose(view.radiance, view.depth_m, intrinsics, motion, np.float32(gain), noise, image)
+    _expose(
+        view.radiance,
+        view.depth_m,
+        intrinsics,
+        motion,
+        np.float32(exposure.light),
+        np.float32(exposure.gain),
+        exposure.most_taps,
+        noise,
+        image,
+    )
     return image
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+# Without fast-math: the compiler may then neither reorder nor fuse operations, which it did in one
+# way in the process that compiles the kernels and in another for those that load them.
+@njit(cache=True, nogil=True, error_model='numpy')
 def _displacement(x, y, z, intrinsics, motion):
     """Return by how many pixels the point at pixel (x, y), depth z m, moves until the end.
 
@@ -95,13 +80,19 @@ def _displacement(x, y, z, intrinsics, motion):
     return fx * qx * inverse + cx - x, fy * qy * inverse + cy - y
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
-def _expose(radiance, depth, intrinsics, motion, gain, noise, image):
-    """Write `image` (H, W, 3) uint8, blurred along the motion, amplified and noisy.
-
-    `radiance` (H, W, 3) grey levels, `depth` (H, W) metres, `intrinsics` (4,) fx fy cx cy,
-    `motion` (3, 4) T_later_now, `noise` (3, H, W) standard normal; all float32.
-    """
+@njit(cache=True, nogil=True, error_model='numpy', parallel=True)
+def _expose(
+    radiance,  # (H, W, 3) grey levels
+    depth,  # (H, W) metres
+    intrinsics,  # (4,) fx fy cx cy
+    motion,  # (3, 4) T_later_now
+    light,  # collected, per unit of radiance
+    gain,  # by which it is amplified
+    most_taps,  # integer
+    noise,  # (3, H, W) standard normal
+    image,  # (H, W, 3) uint8 out
+):
+    """Write `image`, blurred along the motion, amplified and noisy; all else is float32."""
     height, width = depth.shape
     for y in prange(height):
         total = np.empty(3, np.float32)
@@ -109,7 +100,7 @@ def _expose(radiance, depth, intrinsics, motion, gain, noise, image):
             z = depth[y, x] if depth[y, x] > 0 else np.float32(10.0)
             dx, dy = _displacement(np.float32(x), np.float32(y), z, intrinsics, motion)
             # One tap per 1.5 pixels of motion, which the lens' blur covers.
-            taps = min(_MOST_TAPS, 1 + int(np.float32(1.34) * math.sqrt(dx * dx + dy * dy)))
+            taps = min(most_taps, 1 + int(np.float32(1.34) * math.sqrt(dx * dx + dy * dy)))
             total[0] = total[1] = total[2] = np.float32(0.0)
             for k in range(taps):
                 share = np.float32((2 * k + 1 - taps) / taps)
@@ -123,7 +114,7 @@ def _expose(radiance, depth, intrinsics, motion, gain, noise, image):
                     low = gu * radiance[v0 + 1, u0, c] + fu * radiance[v0 + 1, u0 + 1, c]
                     total[c] += gv * top + fv * low
             for c in range(3):
-                level = gain * total[c] / np.float32(taps)
+                level = gain * (light * total[c] / np.float32(taps))
                 # Read noise of 1.2 grey levels and shot noise, both amplified.
                 variance = gain * (np.float32(1.44) * gain + np.float32(0.02) * level)
                 level += math.sqrt(variance) * noise[c, y, x] + np.float32(0.5)

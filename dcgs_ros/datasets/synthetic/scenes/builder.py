@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .raycast import BOX, SPHERE, Scene
-from .textures import TEXTURE_NAMES
+from ..raycast import BOX, SPHERE, Scene
+from ..textures import TEXTURE_NAMES
 
 Floats = tuple[float, ...] | NDArray[np.float64]
 WHITE = (1.0, 1.0, 1.0)

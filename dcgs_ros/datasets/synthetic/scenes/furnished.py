@@ -1,30 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The synthetic scenes: a furnished room, a textured plane, an untextured folding screen."""
+"""Scenes around a standing person: a furnished room, a textured plane, a folding screen."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
-from .camera_motion import PITCH, ROLL, YAW, Motion, Sway, Turn, X, Y, Z
-from .raycast import Scene
-from .scene_builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
+from ..motion.hand_held import Motion, Sway, Turn
+from ..motion.path import PITCH, ROLL, YAW, X, Y, Z
+from ..motion.route import GAITS, Route
+from .builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
+from .scenario import Scenario
+
+_ROUND_THE_ROOM = ((-1.4, -1.0), (0.6, -1.0), (0.6, 1.2), (-1.4, 1.2))
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """A scene, and the motion of the camera through it."""
+def room(rng: np.random.Generator, motion: str) -> Scenario:
+    """Build a study of 5.6 x 4.8 x 2.6 m.
 
-    scene: Scene
-    motion: Motion
-    pattern: float  # contrast of an infrared dot pattern on white at 1 m, grey levels
-
-
-def _room(rng: np.random.Generator) -> Scenario:
-    """Build a study of 5.6 x 4.8 x 2.6 m; the camera stays in its middle, facing the desks."""
+    In the hand the camera stays in its middle, facing the desks; on wheels it goes round.
+    """
     build = SceneBuilder()
     add_walls(build)
     add_desk(build, rng, np.array([1.9, -1.75]), np.array([2.76, -0.05]), 0.74, 13)
@@ -43,7 +38,7 @@ def _room(rng: np.random.Generator) -> Scenario:
         build.box((1.53, y, 0.7), (0.02, 0.2, 0.22), 'carpet', 1.2, (0.8, 0.6, 0.6))
     add_clutter(build, rng, np.array([0.9, -1.7]), np.array([1.5, 1.9]), 0.004, 8)
     build.box((0.5, 0.0, 2.52), (0.6, 0.15, 0.05), None, 1, (1.3, 1.3, 1.25))
-    motion = Motion(
+    hand = Motion(
         centre=(0.35, 0.0, 1.28, 0.0, -17.0, 0.0),
         sways=(
             Sway(X, 0.45, 13.0), Sway(X, 0.14, 5.9, 1.0),
@@ -59,10 +54,11 @@ def _room(rng: np.random.Generator) -> Scenario:
             Turn(YAW, 18.0, 25.0, 0.5), Turn(YAW, 19.0, -25.0, 0.55),
         ),
     )  # fmt: skip
-    return Scenario(build.build((0.5, 0.0, 2.3), 0.55), motion, pattern=4.0)
+    moves = hand if motion == 'handheld' else Route(_ROUND_THE_ROOM, GAITS[motion])
+    return Scenario(build.build((0.5, 0.0, 2.3), 0.55), moves, pattern=4.0)
 
 
-def _plane(rng: np.random.Generator) -> Scenario:
+def plane(rng: np.random.Generator) -> Scenario:
     """Build one textured plane: depth alone leaves three degrees of freedom unobserved."""
     build = SceneBuilder()
     build.box((0, 0, -0.01), (6, 6, 0.01), 'poster', 0.5)
@@ -78,7 +74,7 @@ def _plane(rng: np.random.Generator) -> Scenario:
     return Scenario(build.build((0.0, 0.0, 3.0), 0.6), motion, pattern=4.0)
 
 
-def _zigzag(rng: np.random.Generator) -> Scenario:
+def zigzag(rng: np.random.Generator) -> Scenario:
     """Build a folding screen before a wall, without texture: only geometry constrains."""
     build = SceneBuilder()
     build.box((0, -2.3, 1.5), (5.0, 3.5, 1.5), None, 1, (0.62, 0.64, 0.62))
@@ -99,16 +95,3 @@ def _zigzag(rng: np.random.Generator) -> Scenario:
         cycle_s=16.0,
     )  # fmt: skip
     return Scenario(build.build((-1.0, -2.0, 2.6), 0.5), motion, pattern=16.0)
-
-
-_SCENARIOS: dict[str, Callable[[np.random.Generator], Scenario]] = {
-    'room': _room,
-    'plane': _plane,
-    'zigzag': _zigzag,
-}
-SCENE_NAMES = tuple(_SCENARIOS)
-
-
-def build_scenario(name: str, seed: int) -> Scenario:
-    """Build one of `SCENE_NAMES`; the seed places the clutter."""
-    return _SCENARIOS[name](np.random.default_rng((seed, 2)))

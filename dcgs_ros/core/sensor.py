@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,11 @@ class SensorNoise:
     )
     depth_min_m: float = described(0.3, 'Smallest depth that is used, metres.')
     depth_max_m: float = described(5.0, 'Largest depth that is used, metres.')
+    depth_readout_ms: float = described(
+        0.0,
+        'Time from the exposure of the first row of a depth image to that of the last, '
+        'milliseconds; 0: global shutter.',
+    )
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -43,11 +48,21 @@ class SensorNoise:
                 f'need 0 <= depth_min_m < depth_max_m, got {self.depth_min_m} '
                 f'and {self.depth_max_m}'
             )
+        if not self.depth_readout_ms >= 0:
+            raise SensorError(f'need depth_readout_ms >= 0, got {self.depth_readout_ms}')
 
     @classmethod
     def structured_light(cls) -> SensorNoise:
         """Return Kinect v1's: a fit to Nguyen 2012's 0.0012 + 0.0019 (z - 0.4)^2 m, 0.4 to 3 m."""
         return cls()
+
+    @classmethod
+    def kinect(cls) -> SensorNoise:
+        """Return a real Kinect v1's or Xtion's: its infrared imager has a rolling shutter.
+
+        The readout takes nearly the whole frame interval.
+        """
+        return replace(cls.structured_light(), depth_readout_ms=30.0)
 
     @classmethod
     def stereo(

@@ -27,18 +27,18 @@ _FR2_DISTORTION = (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
 PRESETS: dict[str, CameraPreset] = {
     'fr1': CameraPreset(
         PinholeCamera(640, 480, 517.3, 516.5, 318.6, 255.3, _FR1_DISTORTION),
-        SensorNoise.structured_light(),
+        SensorNoise.kinect(),
         TUM_DEPTH_PER_METRE,
     ),
     'fr2': CameraPreset(
         PinholeCamera(640, 480, 520.9, 521.0, 325.1, 249.7, _FR2_DISTORTION),
-        SensorNoise.structured_light(),
+        SensorNoise.kinect(),
         TUM_DEPTH_PER_METRE,
     ),
     # TUM published fr3 already undistorted.
     'fr3': CameraPreset(
         PinholeCamera(640, 480, 535.4, 539.2, 320.1, 247.6),
-        SensorNoise.structured_light(),
+        SensorNoise.kinect(),
         TUM_DEPTH_PER_METRE,
     ),
     # Bonn's dynamic sequences: an Asus Xtion, in TUM's layout and depth unit.
@@ -52,7 +52,7 @@ PRESETS: dict[str, CameraPreset] = {
             237.756098,
             (0.039903, -0.099343, -0.000730, -0.000144, 0.0),
         ),
-        SensorNoise.structured_light(),
+        SensorNoise.kinect(),
         TUM_DEPTH_PER_METRE,
     ),
     # Nominal: each D435i has its own calibration, in its camera_info, within a few pixels of this.
@@ -75,7 +75,7 @@ PRESETS: dict[str, CameraPreset] = {
     # Structure sensor, nominal: a scene's own files have its calibration. It is the depth camera.
     'scannet': CameraPreset(
         PinholeCamera(640, 480, 577.6, 578.7, 318.9, 242.7),
-        SensorNoise.structured_light(),
+        SensorNoise.kinect(),
         1000.0,
     ),
     # As rendered by NICE-SLAM: without noise, depth rounded to 16 bits.
@@ -85,7 +85,7 @@ PRESETS: dict[str, CameraPreset] = {
     # Nominal colour camera of a Kinect: 7-Scenes was published without a calibration.
     '7scenes': CameraPreset(
         PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5),
-        SensorNoise.structured_light(),
+        SensorNoise.kinect(),
         1000.0,
     ),
     # Rendered without noise. The dataset itself has fy = -480: its y axis points up and its frames

@@ -54,8 +54,12 @@ def sample_cloud(
     sensor: SensorNoise,
     stride_px: int,
     seed: int,
+    twist: NDArray[np.float64],  # (6,) per second, of the camera, in its frame
 ) -> FrameCloud:
     """Return one point of each stride x stride cell, at a pixel that `seed` varies.
+
+    Points are where they are at the instant of the middle row: with a rolling shutter, a row
+    that is exposed dt later sees a point from exp(dt twist).
 
     n_i is the eigenvector of the smallest eigenvalue of Q_i, the scatter of the neighbours on the
     same surface. Cells at depth edges, with too few neighbours, or seen at a grazing angle give no
@@ -70,7 +74,8 @@ def sample_cloud(
     _sample(
         depth_m, rays, stride_px, config.dilation_px, config.half_window, config.min_neighbours,
         config.min_view_cosine, sensor.a_m, sensor.b_per_m, sensor.depth_min_m,
-        sensor.depth_max_m, seed, points, normals, flatness, status,
+        sensor.depth_max_m, seed, 1e-3 * sensor.depth_readout_ms * twist, points, normals,
+        flatness, status,
     )  # fmt: skip
     keep = np.flatnonzero(status == _FIT)
     return FrameCloud(points[keep], normals[keep], flatness[keep], int(np.count_nonzero(status)))
@@ -95,12 +100,13 @@ def measurement_covariances(
 @parallel_kernel
 def _sample(
     depth, rays, stride, dilation, half, min_share, min_cosine, noise_a, noise_b, z_min, z_max,
-    seed, points, normals, flatness, status,
+    seed, motion, points, normals, flatness, status,
 ):  # fmt: skip
     """Write a point, its normal and its flatness for each cell of a depth image.
 
     `depth` (H, W) metres, `rays` (H, W, 2) undistorted x/z and y/z; `stride` and `dilation` in
-    pixels, noise and depth range in metres. Writes, for C = (H // stride) (W // stride) cells,
+    pixels, noise and depth range in metres; `motion` (6,) the camera's from the first row's instant
+    to the last one's. Writes, for C = (H // stride) (W // stride) cells,
     `points` (C, 3) metres, `normals` (C, 3) unit, `flatness` (C,) float32 and `status` (C,) uint8;
     the first three only where `status` is _FIT. `status` starts as zeros.
     """
@@ -160,8 +166,21 @@ def _sample(
             if not abs(cosine) >= min_cosine:
                 continue
             sign = -1.0 if cosine > 0.0 else 1.0
-            points[i, 0], points[i, 1], points[i, 2] = ax, ay, z
-            normals[i, 0], normals[i, 1], normals[i, 2] = sign * nx, sign * ny, sign * nz
+            nx, ny, nz = sign * nx, sign * ny, sign * nz
+            late = (y + 0.5) / height - 0.5  # of the readout, after the middle row
+            tx, ty, tz = motion[3], motion[4], motion[5]
+            mx = motion[0] + ty * z - tz * ay
+            my = motion[1] + tz * ax - tx * z
+            mz = motion[2] + tx * ay - ty * ax
+            points[i, 0], points[i, 1], points[i, 2] = ax + late * mx, ay + late * my, z + late * mz
+            # Rows are shifted against each other too, which tilts the surface.
+            span = rays[height - 1, x, 1] - rays[0, x, 1]
+            shear = (nx * mx + ny * my + nz * mz) / (span * z)
+            fx = nx + late * (ty * nz - tz * ny)
+            fy = ny + late * (tz * nx - tx * nz) - shear
+            fz = nz + late * (tx * ny - ty * nx) + shear * ay / z
+            s = 1.0 / math.sqrt(fx * fx + fy * fy + fz * fz)
+            normals[i, 0], normals[i, 1], normals[i, 2] = s * fx, s * fy, s * fz
             flatness[i] = max(smallest, 0.0) / max(middle, 1e-12)
             status[i] = _FIT
 

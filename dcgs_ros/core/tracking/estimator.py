@@ -30,9 +30,10 @@ _SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have 
 
 @dataclass(frozen=True)
 class RegisteredFrame(PosedFrame):
-    """A frame with its pose and its grey image: where KLT goes on from."""
+    """A frame with its pose, its grey image, where KLT goes on from, and its motion."""
 
     grey: NDArray[np.uint8]  # (H, W)
+    twist: NDArray[np.float64]  # (6,) per second, camera frame, at the depth's instant
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,13 @@ class Memory:
         """Return T_cam_cam_at_depth (4, 4) of a frame whose colour was taken at `T_world_cam`."""
         motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
         return motion.pose_after(self.lag_s(frame))
+
+    def depth_twist(
+        self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the camera's twist (6,) per second at the depth's instant of such a frame."""
+        motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
+        return motion.twist_after(self.lag_s(frame))
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,8 @@ def estimate(
     start = _start(frame, memory, prior, image, config)
 
     # III-B and III-C, depth residual: a_i, n_i and D_i at colour's instant, targets with Sigma_t.
-    cloud = sample(frame, camera, config, config.cloud.stride_px)
+    twist = memory.depth_twist(frame, start.T_world_cam)
+    cloud = sample(frame, camera, config, config.cloud.stride_px, twist)
     cloud = cloud.moved(memory.depth_motion(frame, start.T_world_cam))
     depth = DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
 
@@ -117,7 +126,9 @@ def estimate(
         found = max(found, second, key=lambda result: result.overlap)
 
     T = found.T_world_cam
-    registered = RegisteredFrame(frame, T, memory.depth_motion(frame, T), grey)
+    registered = RegisteredFrame(
+        frame, T, memory.depth_motion(frame, T), grey, memory.depth_twist(frame, T)
+    )
     return Estimate(registered, found, landmarks, fresh)
 
 
@@ -126,11 +137,20 @@ def to_grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return color if color.ndim == 2 else np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
 
 
-def sample(frame: RgbdFrame, camera: PinholeCamera, config: Config, stride_px: int) -> FrameCloud:
-    """Sample the depth image in cells of `stride_px`; the same stamp gives the same pixels."""
+def sample(
+    frame: RgbdFrame,
+    camera: PinholeCamera,
+    config: Config,
+    stride_px: int,
+    twist: NDArray[np.float64],
+) -> FrameCloud:
+    """Sample the depth image in cells of `stride_px`; the same stamp gives the same pixels.
+
+    `twist` (6,) is the camera's per second, in its frame, at the depth's instant.
+    """
     return sample_cloud(
         frame.depth_m, camera.undistortion_map, config.cloud, config.sensor, stride_px,
-        frame.stamp_ns % _SEEDS,
+        frame.stamp_ns % _SEEDS, twist,
     )  # fmt: skip
 
 

@@ -212,7 +212,7 @@ class Tracker:
         self._visited.clear()
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
-        registered = RegisteredFrame(frame, T_world_cam, motion, grey)
+        registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist)
         self._memory = replace(self._memory, last=registered, image=registered)
         return self._extend_map(registered, None)
 
@@ -223,7 +223,8 @@ class Tracker:
         camera went until the colour's. Its Gaussians keep their ids.
         """
         self._first = None
-        if first.stamp_ns == first.depth_stamp_ns and self._offset.seconds == 0.0:
+        at_once = self.config.sensor.depth_readout_ms == 0.0
+        if first.stamp_ns == first.depth_stamp_ns and self._offset.seconds == 0.0 and at_once:
             return
         memory = self._memory
         found = estimate(second, memory, self.gaussians, self.camera, self.config)
@@ -240,11 +241,12 @@ class Tracker:
     ) -> TrackResult:
         """Try a few of the places where the camera may be; go on from one that explains enough."""
         config = self.config
-        cloud = sample(frame, self.camera, config, config.cloud.stride_px)
+        cloud = sample(frame, self.camera, config, config.cloud.stride_px, np.zeros(6))
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
         best = relocalizer.best(depth, config, guesses)
         T = best.T_world_cam
-        registered = RegisteredFrame(frame, T, np.eye(4), to_grey(frame.color))
+        grey = to_grey(frame.color)
+        registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6))
         found = Estimate(registered, best, Landmarks.none(), True)
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):

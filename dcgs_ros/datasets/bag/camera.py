@@ -26,6 +26,7 @@ from .images import color_of, depth_of, image_size, is_compressed
 from .recording import custom_data
 from .topics import CameraTopics, camera_topics, viewer_stream
 
+_SENSOR_ADDED = 'depth_readout_ms'  # older recordings lack it
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 _BASELINE_M = 0.05  # D435i
@@ -166,7 +167,8 @@ def _parse_sensor(text: str) -> SensorNoise:
     try:
         values = json.loads(text)
         names = {field.name for field in fields(SensorNoise)}
-        if not isinstance(values, dict) or values.keys() != names:
+        needed = names - {_SENSOR_ADDED}
+        if not isinstance(values, dict) or not needed <= values.keys() <= names:
             raise ValueError(f'not an object of {", ".join(sorted(names))}')
         numbers = {name: float(value) for name, value in values.items()}
         if not all(map(math.isfinite, numbers.values())):

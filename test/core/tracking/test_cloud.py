@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ ON_PLANE_M = 1e-6
 COVARIANCE = 1e-5  # relative, float32
 STRIDE = 8
 SENSOR = SensorNoise.structured_light()
+STILL = np.zeros(6)
 PINHOLE = PinholeCamera(320, 240, 262.0, 262.0, 159.5, 119.5)
 DISTORTED = PinholeCamera(
     320, 240, 258.6, 258.2, 159.3, 127.6, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
@@ -66,7 +68,9 @@ def sampled(
     seed: int = 1,
     stride: int = STRIDE,
 ) -> FrameCloud:
-    return sample_cloud(depth_m, camera.undistortion_map, CloudConfig(), SENSOR, stride, seed)
+    return sample_cloud(
+        depth_m, camera.undistortion_map, CloudConfig(), SENSOR, stride, seed, STILL
+    )
 
 
 def pixels_of(cloud: FrameCloud, camera: PinholeCamera = PINHOLE) -> NDArray[np.int64]:
@@ -152,7 +156,7 @@ def test_grazing_surfaces_are_left_out() -> None:
     rays, seen = PINHOLE.undistortion_map, {}
     for cosine in (0.2, 0.3, 0.6):
         config = CloudConfig(min_view_cosine=cosine)
-        cloud = sample_cloud(depth_m, rays, config, SENSOR, STRIDE, 1)
+        cloud = sample_cloud(depth_m, rays, config, SENSOR, STRIDE, 1, STILL)
         views = cloud.points / np.linalg.norm(cloud.points, axis=1, keepdims=True)
         assert (-views @ floor >= cosine - NORMAL_RAD).all()
         seen[cosine] = len(cloud)
@@ -179,6 +183,29 @@ def test_junk_in_depth_never_yields_a_point(junk: float) -> None:
     assert np.isfinite(cloud.points).all() and np.isfinite(cloud.normals).all()
     everywhere = sampled(np.full((240, 320), junk, np.float32))
     assert len(everywhere) == everywhere.samples == 0
+
+
+def test_a_rolling_shutter_is_undone() -> None:
+    """A plane seen row by row by a moving camera is that of the middle row's instant again."""
+    normal, distance_m = np.array([0.3, 0.1, -0.9]) / np.sqrt(0.91), 1.2
+    twist = np.array([0.3, -0.4, 0.2, 0.5, -0.3, 0.6])
+    sensor = replace(SENSOR, depth_readout_ms=30.0)
+    rays = PINHOLE.undistortion_map
+    rolled = np.empty(rays.shape[:2], np.float32)
+    for row in range(len(rolled)):
+        late_s = ((row + 0.5) / len(rolled) - 0.5) * 0.03
+        T = se3.exp(late_s * twist)
+        then = -(distance_m + normal @ T[:3, 3])  # n . T p = -distance
+        facing = normal @ T[:3, :3]
+        rolled[row] = then / (rays[row] @ facing[:2] + facing[2])
+    errors = {}
+    for motion in (twist, STILL):
+        cloud = sample_cloud(rolled, rays, CloudConfig(), sensor, STRIDE, 1, motion)
+        off_m = np.abs(cloud.points @ normal + distance_m).max()
+        tilt = np.abs(cloud.normals @ normal - 1).max()
+        errors[motion is twist] = off_m, tilt
+    assert errors[True][0] < 1e-4 and errors[False][0] > 5e-3  # second order in 30 ms remains
+    assert errors[True][1] < 1e-6 < 2e-5 < errors[False][1]
 
 
 def test_moved_is_the_rigid_motion() -> None:

@@ -144,7 +144,9 @@ def wall(distance_m: float = 1.5, seed: int = 1, tilt: float = 0.3) -> FrameClou
     """Samples of a slanted wall."""
     x, y = CAMERA.undistortion_map[..., 0], CAMERA.undistortion_map[..., 1]
     depth_m = (distance_m / (1 - tilt * x + 0.1 * y)).astype(np.float32)
-    return sample_cloud(depth_m, CAMERA.undistortion_map, CloudConfig(), SENSOR, STRIDE, seed)
+    return sample_cloud(
+        depth_m, CAMERA.undistortion_map, CloudConfig(), SENSOR, STRIDE, seed, np.zeros(6)
+    )
 
 
 def spawned(
@@ -221,7 +223,9 @@ def depth_image(distance_m: float = 1.5) -> NDArray[np.float32]:
 
 
 def sampled(depth_m: NDArray[np.float32]) -> FrameCloud:
-    return sample_cloud(depth_m, CAMERA.undistortion_map, CloudConfig(), SENSOR, STRIDE, 1)
+    return sample_cloud(
+        depth_m, CAMERA.undistortion_map, CloudConfig(), SENSOR, STRIDE, 1, np.zeros(6)
+    )
 
 
 def test_what_both_images_measure_is_confirmed() -> None:

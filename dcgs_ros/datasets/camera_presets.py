@@ -56,20 +56,20 @@ PRESETS: dict[str, CameraPreset] = {
         TUM_DEPTH_PER_METRE,
     ),
     # Nominal: each D435i has its own calibration, in its camera_info, within a few pixels of this.
-    # SensorNoise.stereo takes the focal length of the depth imager in that mode, and the baseline.
+    # SensorNoise.realsense takes the focal length of the depth imager in that mode.
     'd435i': CameraPreset(
         PinholeCamera(640, 480, 615.0, 615.0, 319.5, 239.5),
-        SensorNoise.stereo(385.0, 0.05),
+        SensorNoise.realsense(385.0),
         1000.0,
     ),
     'd435i_848': CameraPreset(
         PinholeCamera(848, 480, 615.0, 615.0, 423.5, 239.5),
-        SensorNoise.stereo(424.0, 0.05),
+        SensorNoise.realsense(424.0),
         1000.0,
     ),
     'd435i_1280': CameraPreset(
         PinholeCamera(1280, 720, 922.5, 922.5, 639.5, 359.5),
-        SensorNoise.stereo(640.0, 0.05),
+        SensorNoise.realsense(640.0),
         1000.0,
     ),
     # Structure sensor, nominal: a scene's own files have its calibration. It is the depth camera.

@@ -33,7 +33,7 @@ ROUNDING = 1e-9
 
 def spectrum(kappa: float) -> Observability:
     return Observability(
-        np.ones(6), np.eye(6)[0], kappa, 2 * kappa, 3 * kappa, 4 * kappa, block_ratio=1.0
+        np.ones(6), np.eye(6)[0], kappa, 2 * kappa, 3 * kappa, 4 * kappa, 1e-3, 1e-3
     )
 
 

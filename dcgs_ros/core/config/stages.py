@@ -119,13 +119,14 @@ class RegistrationConfig(Stage):
         1000000,
         'Smallest number of points matched with a Gaussian; with fewer the frame is lost.',
     )
-    degenerate_ratio: float = ranged(
-        200.0,
+    degenerate_m: float = ranged(
+        0.01,
+        1e-6,
         1,
-        1e12,
-        'Ratio of the largest to the smallest eigenvalue of a block of the Hessian (translation, '
-        'rotation) above which the scene does not constrain the weakest direction.',
+        'Standard deviation of the position that independent noise leaves, in its weakest '
+        'direction, above which the scene does not hold the pose, metres ...',
     )
+    degenerate_rad: float = ranged(0.01, 1e-6, 1, '... and of the rotation, radians.')
 
 
 @dataclass(frozen=True)

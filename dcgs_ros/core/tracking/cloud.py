@@ -105,8 +105,8 @@ def _sample(
     """Write a point, its normal and its flatness for each cell of a depth image.
 
     `depth` (H, W) metres, `rays` (H, W, 2) undistorted x/z and y/z; `stride` and `dilation` in
-    pixels, noise and depth range in metres; `motion` (6,) the camera's from the first row's instant
-    to the last one's. Writes, for C = (H // stride) (W // stride) cells,
+    pixels, noise and depth range in metres; `motion` (6,) the camera's between the instants of
+    the first row and of the last one. Writes, for C = (H // stride) (W // stride) cells,
     `points` (C, 3) metres, `normals` (C, 3) unit, `flatness` (C,) float32 and `status` (C,) uint8;
     the first three only where `status` is _FIT. `status` starts as zeros.
     """
@@ -172,7 +172,11 @@ def _sample(
             mx = motion[0] + ty * z - tz * ay
             my = motion[1] + tz * ax - tx * z
             mz = motion[2] + tx * ay - ty * ax
-            points[i, 0], points[i, 1], points[i, 2] = ax + late * mx, ay + late * my, z + late * mz
+            points[i, 0], points[i, 1], points[i, 2] = (
+                ax + late * mx,
+                ay + late * my,
+                z + late * mz,
+            )
             # Rows are shifted against each other too, which tilts the surface.
             span = rays[height - 1, x, 1] - rays[0, x, 1]
             shear = (nx * mx + ny * my + nz * mz) / (span * z)

@@ -147,6 +147,7 @@ class PointFactors:
     covariances: NDArray[np.float32]  # (N, 6) xx xy xz yy yz zz, square metres, camera
     targets: Targets
     normals: NDArray[np.float32] | None = None  # (N, 3) n_i of depth points, unit, camera
+    map_normals: NDArray[np.float32] | None = None  # (N, 3) n_j of their Gaussians, unit, world
     huber: float = math.inf  # delta, in units of sqrt(chi2)
     weight: float = 1.0
     Q: NDArray[np.float64] | None = None  # (6, 6) covariance of a motion common to all points

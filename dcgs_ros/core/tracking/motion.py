@@ -16,8 +16,8 @@ from .factors import NormalEquations, PosePrior
 
 _MAX_GAP_S = 0.5  # over a longer one nothing is extrapolated
 _MIN_INTERVAL_S = 0.005  # a shorter one, by a faulty clock, would make a velocity out of noise
-_ACCELERATION = 10.0  # m / s^2 of a hand-held camera, standard deviation
-_ANGULAR_ACCELERATION = 30.0  # rad / s^2
+ACCELERATION = 10.0  # m / s^2 of a hand-held camera, standard deviation
+ANGULAR_ACCELERATION = 30.0  # rad / s^2
 _WEAK = np.eye(6)  # 1 / m^2, 1 / rad^2: keeps a system that says nothing solvable
 _JERKY = 1.0  # m / s^2 that change within a frame, standard deviation
 _ANGULAR_JERKY = 3.0  # rad / s^2
@@ -72,7 +72,7 @@ class ConstantVelocity:
         dt = self._since_last_s(stamp_ns)
         half_dt2 = 0.5 * dt * dt
         return PosePrior(
-            self.predict(stamp_ns), _ACCELERATION * half_dt2, _ANGULAR_ACCELERATION * half_dt2
+            self.predict(stamp_ns), ACCELERATION * half_dt2, ANGULAR_ACCELERATION * half_dt2
         )
 
     def arriving(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> LocalMotion:
@@ -132,6 +132,13 @@ class ColorDepthOffset:
         self._information = self._prior  # of the intervals that are over, and the prior
         self._weighted = 0.0  # information times offset
         self._begin_interval()
+
+    @property
+    def sigma_s(self) -> float:
+        """Standard deviation of the estimate, seconds; 0 of a fixed value."""
+        if not self._estimating:
+            return 0.0
+        return (self._information + self._marginal()[0]) ** -0.5
 
     def _begin_interval(self) -> None:
         self._system = np.zeros((7, 7))  # information on (b, tau) in the interval under way

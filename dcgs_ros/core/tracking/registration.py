@@ -67,14 +67,21 @@ class DepthTerm:
             np.empty((n, 3), np.float32), np.empty((n, 3), np.float32),
             np.empty(n, np.float32), np.empty(n, np.float32),
         )  # fmt: skip
+        map_normals = np.zeros((n, 3), np.float32)
         sensor = self._config.sensor
         _gather(
             self._slots, cloud.normals, T_world_cam, registration.min_normal_cosine,
             gaussians.means, gaussians.normals, gaussians.viewpoints, gaussians.flatness,
             self._anchor, sensor.a_m, sensor.b_per_m, self._shared,
-            targets.points, targets.axes, targets.perp, targets.along,
+            targets.points, targets.axes, targets.perp, targets.along, map_normals,
         )  # fmt: skip
-        return PointFactors(cloud.points, self._covariances, targets, cloud.normals, Q=self._Q)
+        return PointFactors(
+            cloud.points, self._covariances, targets, cloud.normals, map_normals, Q=self._Q
+        )
+
+    def hosts(self, pairs: PointFactors) -> NDArray[np.int32]:
+        """Return the keyframes that host the Gaussians of the last association's matches."""
+        return np.asarray(self._gaussians.hosts[self._slots[pairs.targets.perp >= 0]])
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,7 @@ class Registration:
     sharp_depth: NormalEquations  # the depth term along the normals only
     sharp: NormalEquations  # both terms, with that
     inliers: int  # points with a match
+    hosts: NDArray[np.int32]  # (inliers,) keyframes of the Gaussians that they match
 
     @property
     def overlap(self) -> float:
@@ -160,7 +168,8 @@ def register(
         image_equations = image.normal_equations(T)
         equations, sharp = equations + image_equations, sharp + image_equations
     inliers = int(np.count_nonzero(pairs.targets.perp >= 0))
-    return Registration(T, pairs, image, equations, sharp_depth, sharp, inliers)
+    hosts = depth.hosts(pairs)
+    return Registration(T, pairs, image, equations, sharp_depth, sharp, inliers, hosts)
 
 
 def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:
@@ -185,14 +194,14 @@ def _plane_covariances(cloud: FrameCloud) -> NDArray[np.float32]:
 @kernel
 def _gather(
     slots, normals, T, min_cosine, means, map_normals, viewpoints, flatness, anchor, noise_a,
-    noise_b, shared, points, axes, perp, along,
+    noise_b, shared, points, axes, perp, along, matched_normals,
 ):  # fmt: skip
     """Write the targets of N points: the Gaussians in `slots` whose normals agree.
 
     `slots` (N,) int32 or -1, `normals` (N, 3) unit, camera; `T` (4, 4) T_world_cam; of the map
     `means`, `map_normals`, `viewpoints` (M, 3) metres, world, and `flatness` (M,); `anchor` p / f,
     `noise_a` in metres, `noise_b` in 1/metre. Writes `points` and `axes` (N, 3), `perp` and
-    `along` (N,) as in `Targets`; `perp` is -1 without a match.
+    `along` (N,) as in `Targets`, and `matched_normals` (N, 3); `perp` is -1 without a match.
     """
     for i in range(slots.shape[0]):
         perp[i] = -1.0
@@ -209,6 +218,7 @@ def _gather(
         if not cosine >= min_cosine:
             continue
         points[i, 0], points[i, 1], points[i, 2] = means[j, 0], means[j, 1], means[j, 2]
+        matched_normals[i, 0], matched_normals[i, 1], matched_normals[i, 2] = m0, m1, m2
         if shared:
             axes[i, 0], axes[i, 1], axes[i, 2] = m0, m1, m2
             perp[i], along[i] = 1.0, max(flatness[j], _FLATTEST)

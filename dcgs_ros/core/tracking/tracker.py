@@ -23,10 +23,12 @@ from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
-from .observability import Observability, observability, pose_covariance
+from .observability import Observability, observability
+from .propagation import BiasVariance, KeyframeChain, MotionLimit
 from .registration import DepthTerm, Registration
 from .relocalization import Relocalizer
 from .result import TrackingState, TrackResult
+from .uncertainty import PoseUncertainty, pose_uncertainty
 from .verification import Evidence, Usual, is_repetition, weigh
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
@@ -60,6 +62,9 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self.config.keyframes)
         self._visited: list[NDArray[np.float64]] = []  # poses (4, 4) of the keyframes
+        self._chain = KeyframeChain()  # and their covariances in the world
+        self._limit: MotionLimit | None = None  # of the last frame that was tracked
+        self._bias = BiasVariance()
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
@@ -99,7 +104,7 @@ class Tracker:
             self._held.append(self._extend_map(found.registered, last))
         elif found.fresh and self._runs_out_of_landmarks():
             self._anchor_landmarks(found.registered)
-        return self._result(found, keyframe)
+        return self._result(found, self._uncertainty(found.registration), keyframe)
 
     def flush(self) -> tuple[Keyframe, ...]:
         """Hand over what no result has yet: the first keyframe, where no second frame came."""
@@ -112,6 +117,7 @@ class Tracker:
         Frames are lost until one fits the map near one of them.
         """
         self.gaussians, self._visited, self._begun = gaussians, list(poses), True
+        self._chain.reset(len(poses))
         self._memory = self._forgotten(ConstantVelocity.at_rest(poses[-1]))
         self.interrupt()
 
@@ -210,6 +216,8 @@ class Tracker:
         """Start the map from one frame, of a camera that moves with `twist`."""
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self._visited.clear()
+        self._chain.reset(1)
+        self._limit = MotionLimit.begun(np.zeros((6, 6)), T_world_cam, frame.stamp_ns)
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist)
@@ -251,7 +259,8 @@ class Tracker:
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
-        spectrum = observability(best.equations.H, best.sharp.H)
+        uncertainty = self._uncertainty(best)
+        spectrum = observability(best.equations.H, uncertainty.information)
         if self._state(spectrum) is TrackingState.DEGENERATE:  # anywhere along that direction
             return self._lost(frame, best)
         self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
@@ -259,9 +268,10 @@ class Tracker:
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
             last=registered, image=registered, overlap=best.overlap,
         )  # fmt: skip
+        self._limit = None
         self._anchor_landmarks(registered)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
-        return self._result(found, False)
+        return self._result(found, uncertainty, False)
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""
@@ -344,22 +354,47 @@ class Tracker:
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
         self._memory = replace(self._memory, landmarks=landmarks, spread=there)
 
-    def _result(self, found: Estimate, keyframe: bool) -> TrackResult:
-        registered, result = found.registered, found.registration
+    def _uncertainty(self, found: Registration) -> PoseUncertainty:
         variance = 1.0
         if self.config.shares_covariance:  # not metric: scaled by the residual
-            variance = result.equations.cost / max(3 * result.inliers - 6, 1)
-        spectrum = observability(result.equations.H, result.sharp.H)
-        covariance = pose_covariance(result.sharp.H, variance)
+            variance = found.sharp_depth.cost / max(found.inliers - 6, 1)
+        return pose_uncertainty(found, self.camera, variance)
+
+    def _result(
+        self, found: Estimate, uncertainty: PoseUncertainty, keyframe: bool
+    ) -> TrackResult:
+        registered, result = found.registered, found.registration
+        covariance = self._covariance(registered, uncertainty)
+        in_world = self._chain.in_world(registered.T_world_cam, covariance, result.hosts)
+        if keyframe:
+            self._chain.add(registered.T_world_cam, in_world)
+        spectrum = observability(result.equations.H, uncertainty.information)
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,
-            covariance, covariance, self._state(spectrum), spectrum,
-            len(result.depth.points), result.inliers, len(self.landmarks), keyframe, self.flush(),
+            covariance, in_world, self._state(spectrum), spectrum, len(result.depth.points),
+            result.inliers, len(self.landmarks), keyframe, self.flush(),
             1e3 * self._offset.seconds,
         )  # fmt: skip
+
+    def _covariance(
+        self, registered: RegisteredFrame, uncertainty: PoseUncertainty
+    ) -> NDArray[np.float64]:
+        """Return what residuals, clocks and the motion so far leave open of a pose (6, 6)."""
+        self._bias = self._bias.observed(uncertainty.bias_evidence)
+        measured = uncertainty.covariance(
+            self._bias.beta2, self._offset.sigma_s, self._memory.motion.twist
+        )
+        T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
+        if self._limit is None:
+            self._limit = MotionLimit.begun(measured, T, stamp_ns)
+        else:
+            self._limit = self._limit.updated(measured, T, stamp_ns)
+        late = 1e-3 * self.config.sensor.stamp_ms * self._memory.motion.twist
+        return self._limit.covariance + np.outer(late, late)
 
     def _state(self, spectrum: Observability) -> TrackingState:
         if self._unconfirmed and self._relocalizer is None:
             return TrackingState.RELOCALISED
-        degenerate = spectrum.block_ratio > self.config.registration.degenerate_ratio
+        limits = self.config.registration
+        degenerate = spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
         return TrackingState.DEGENERATE if degenerate else TrackingState.OK

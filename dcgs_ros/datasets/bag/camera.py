@@ -26,10 +26,9 @@ from .images import color_of, depth_of, image_size, is_compressed
 from .recording import custom_data
 from .topics import CameraTopics, camera_topics, viewer_stream
 
-_SENSOR_ADDED = 'depth_readout_ms'  # older recordings lack it
+_SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
-_BASELINE_M = 0.05  # D435i
 _MM_PER_M = 1000.0
 _SAME_PX = 0.5  # intrinsics that differ by less count as the same camera
 
@@ -159,7 +158,7 @@ def _find_sensor(
     if text is not None and text in PRESETS:
         return PRESETS[text].sensor
     if mount is not None:
-        return SensorNoise.stereo(mount.camera.focal, _BASELINE_M)
+        return SensorNoise.realsense(mount.camera.focal)
     return PRESETS.get(f'd435i_{camera.width}', PRESETS['d435i']).sensor
 
 
@@ -167,7 +166,7 @@ def _parse_sensor(text: str) -> SensorNoise:
     try:
         values = json.loads(text)
         names = {field.name for field in fields(SensorNoise)}
-        needed = names - {_SENSOR_ADDED}
+        needed = names - _SENSOR_ADDED
         if not isinstance(values, dict) or not needed <= values.keys() <= names:
             raise ValueError(f'not an object of {", ".join(sorted(names))}')
         numbers = {name: float(value) for name, value in values.items()}

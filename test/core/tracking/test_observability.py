@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dcgs_ros.core.tracking.observability import observability, pose_covariance
+from dcgs_ros.core.tracking.observability import observability
 
 EXACT = 1e-9  # relative
 SPECTRUM = np.array([2e3, 5e3, 1e4, 3e4, 8e4, 4e5])
@@ -58,16 +58,37 @@ def test_the_blocks_are_translation_and_rotation() -> None:
     result = observability(blocks(translation, rotation), blocks(translation, rotation))
     assert result.kappa_translation == pytest.approx(30.0, rel=EXACT)
     assert result.kappa_rotation == pytest.approx(2.0, rel=EXACT)
-    assert result.block_ratio == pytest.approx(30.0, rel=EXACT)
 
 
-def test_the_block_ratio_does_not_depend_on_the_unit() -> None:
-    """Metres and radians mix in kappa; not in the blocks."""
+def test_the_sigmas_are_those_of_the_weakest_directions() -> None:
+    """In metres and in radians, each with all that the other leaves open."""
     H, _ = turned(SPECTRUM, seed=6)
-    scale = np.diag([100.0] * 3 + [1.0] * 3)
-    metres, centimetres = observability(H, H), observability(scale @ H @ scale, scale @ H @ scale)
-    assert centimetres.block_ratio == pytest.approx(metres.block_ratio, rel=1e-6)
-    assert centimetres.kappa_rotation == pytest.approx(metres.kappa_rotation, rel=1e-6)
+    result, covariance = observability(np.eye(6), H), np.linalg.inv(H + np.eye(6))
+    for sigma, block in (
+        (result.sigma_m, covariance[:3, :3]),
+        (result.sigma_rad, covariance[3:, 3:]),
+    ):
+        directions = np.random.default_rng(7).normal(size=(2000, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        sampled = np.sqrt(np.einsum('ni,ij,nj->n', directions, block, directions))
+        assert sampled.max() <= sigma * (1 + EXACT)
+        assert sampled.max() == pytest.approx(sigma, rel=0.02)
+
+
+def test_what_nothing_holds_is_degenerate() -> None:
+    """Below the limit of its own unit; a metre and a radian at most."""
+    H = blocks(np.diag([1e6, 1e6, 400.0]), np.diag([1e6, 1e6, 2500.0]))
+    result = observability(H, H)
+    assert result.sigma_m == pytest.approx(0.05, rel=1e-2)
+    assert result.sigma_rad == pytest.approx(0.02, rel=1e-2)
+    for limit_m, limit_rad, degenerate in (
+        (0.06, 0.03, False),
+        (0.04, 0.03, True),
+        (0.06, 0.01, True),
+    ):
+        assert result.is_degenerate(limit_m, limit_rad) == degenerate
+    nothing = observability(H, np.zeros((6, 6)))
+    assert nothing.sigma_m == nothing.sigma_rad == 1.0
 
 
 @pytest.mark.parametrize('rank', [0, 3, 5])
@@ -75,30 +96,7 @@ def test_a_singular_hessian_has_a_large_but_finite_condition(rank: int) -> None:
     spectrum = np.where(np.arange(6) < 6 - rank, 0.0, 1e4)
     H, _ = turned(spectrum, seed=7)
     result = observability(H, H)
-    kappas = [result.kappa, result.kappa_without_radius, result.block_ratio]
+    kappas = [result.kappa, result.kappa_without_radius, result.sigma_m, result.sigma_rad]
     assert np.isfinite(kappas).all()
     if rank:
         assert result.kappa > 1e9
-
-
-def test_covariance_inverts_a_strong_hessian() -> None:
-    H, _ = turned(SPECTRUM, seed=8)
-    covariance = pose_covariance(H)
-    np.testing.assert_allclose(covariance, np.linalg.inv(H), rtol=0, atol=1e-3 / SPECTRUM[0])
-    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
-
-
-def test_covariance_scales_with_the_variance() -> None:
-    H, _ = turned(1e6 * SPECTRUM, seed=9)
-    np.testing.assert_allclose(pose_covariance(H, 4.0), 4.0 * pose_covariance(H), rtol=1e-5)
-
-
-def test_what_nothing_constrains_is_bounded() -> None:
-    """No information leaves a metre and a radian, not infinity."""
-    np.testing.assert_allclose(pose_covariance(np.zeros((6, 6))), np.eye(6))
-    spectrum = np.array([0.0, 0.0, 1e6, 1e6, 1e6, 1e6])
-    H, axes = turned(spectrum, seed=10)
-    covariance = pose_covariance(H)
-    for k in range(6):
-        expected = 1.0 / (spectrum[k] + 1.0)
-        assert axes[:, k] @ covariance @ axes[:, k] == pytest.approx(expected, rel=1e-6)

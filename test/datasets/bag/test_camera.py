@@ -152,7 +152,7 @@ def test_unaligned_depth_is_registered_with_the_extrinsics(bag: Bag) -> None:
     entries = [*without(recording(3), DEPTH), *unaligned(3), extrinsics_entry(T_COLORCAM_DEPTHCAM)]
     source = BagSource(bag(entries))
     assert source.camera == CAMERA
-    assert source.sensor == SensorNoise.stereo(DEPTH_CAMERA.focal, 0.05)
+    assert source.sensor == SensorNoise.realsense(DEPTH_CAMERA.focal)
     for k, depth_m in enumerate(depths_of(source)):
         difference = np.abs(depth_m - registered(k)) > MOVED_M
         assert difference.mean() < EDGE

@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How uncertainty goes on from frame to frame, and from keyframe to keyframe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from .motion import ACCELERATION, ANGULAR_ACCELERATION
+
+_FRAMES = 30.0  # over which beta^2 is averaged
+_ANY = np.eye(6)  # 1 m and 1 rad, and per second: where nothing is known
+_FLOOR = 1e-12 * np.eye(6)  # 1 um, 1 urad: keeps a covariance invertible
+_ACCELERATION2 = np.diag(np.repeat([ACCELERATION**2, ANGULAR_ACCELERATION**2], 3))
+
+
+@dataclass(frozen=True)
+class BiasVariance:
+    """beta^2 of the smooth relative bias of depth, averaged over the last frames.
+
+    Each frame's evidence is a numerator, which is noisy and may be negative, and a denominator.
+    """
+
+    numerator: float = 0.0
+    denominator: float = 0.0
+
+    @property
+    def beta2(self) -> float:
+        """Estimate; 0 before any evidence."""
+        return max(self.numerator, 0.0) / max(self.denominator, 1e-300)
+
+    def observed(self, evidence: tuple[float, float]) -> BiasVariance:
+        """Return the average with one more frame's evidence."""
+        fade = 1.0 - 1.0 / _FRAMES
+        return BiasVariance(
+            fade * self.numerator + evidence[0], fade * self.denominator + evidence[1]
+        )
+
+
+@dataclass(frozen=True)
+class MotionLimit:
+    """How far a camera can have gone since it was last known: what no measurement holds drifts.
+
+    The pose of a frame goes on at constant velocity along the directions that the frame does not
+    measure. Its uncertainty along them grows by that of the velocity, to which the accelerations
+    of a hand add in each frame.
+    """
+
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+    stamp_ns: int
+    joint: NDArray[np.float64]  # (12, 12) covariance of the pose and of its twist per second
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(6, 6) of the pose."""
+        return self.joint[:6, :6]
+
+    @classmethod
+    def begun(
+        cls, measured: NDArray[np.float64], T_world_cam: NDArray[np.float64], stamp_ns: int
+    ) -> MotionLimit:
+        """Begin at a pose (4, 4) with the covariance `measured` (6, 6), at any velocity."""
+        zero = np.zeros((6, 6))
+        joint = np.block([[surer(measured, _ANY), zero], [zero, _ANY]])
+        return cls(T_world_cam, stamp_ns, joint)
+
+    def updated(
+        self, measured: NDArray[np.float64], T_world_cam: NDArray[np.float64], stamp_ns: int
+    ) -> MotionLimit:
+        """Return the limit after a frame whose measurements have the covariance `measured`.
+
+        Along each direction the surer of measurement and prediction counts. They are not
+        combined, because the estimate is not either. What that tells of the pose tells of the
+        velocity too: joint' = joint + G (P' - P) G^T with the gain G = joint[:, pose] P^-1.
+        """
+        predicted = self._predicted(T_world_cam, stamp_ns)
+        before = predicted[:6, :6]
+        bounded = before if np.trace(before) < 1.0 else surer(before, _ANY)
+        known = surer(measured, bounded)
+        gain = np.linalg.solve(before + _FLOOR, predicted[:6]).T
+        joint = predicted + gain @ (known - before) @ gain.T
+        joint[:6, :6] = known
+        return MotionLimit(T_world_cam, stamp_ns, 0.5 * (joint + joint.T))
+
+    def _predicted(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> NDArray[np.float64]:
+        """Return the joint covariance (12, 12) at a later pose, before its measurement."""
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        Ad = se3.adjoint(se3.inverse(T_world_cam) @ self.T_world_cam)
+        F = np.block([[Ad, dt * Ad], [np.zeros((6, 6)), Ad]])
+        kick = np.vstack([0.5 * dt * dt * np.eye(6), dt * np.eye(6)])
+        return np.asarray(F @ self.joint @ F.T + kick @ _ACCELERATION2 @ kick.T)
+
+
+def surer(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the smaller of two covariances (6, 6) along each of their common principal axes.
+
+    Those are the axes in which both are diagonal. The result is below both.
+    """
+    root = np.linalg.cholesky(other + _FLOOR)
+    white = np.linalg.solve(root, np.linalg.solve(root, one).T)
+    ratios, axes = np.linalg.eigh(0.5 * (white + white.T))
+    half = root @ axes
+    return np.asarray((half * np.minimum(ratios, 1.0)) @ half.T)
+
+
+class KeyframeChain:
+    """Covariances of the keyframes' poses in the world, passed on from one to the next.
+
+    A frame is placed relative to the Gaussians that it matches, and these are as wrong as the
+    keyframes that host them. Its covariance in the world is theirs, weighted by how many it
+    matches of each, and its own in addition. Back where the map began it is small again.
+    """
+
+    def __init__(self) -> None:
+        """Start without keyframes."""
+        self._covariances = np.empty((0, 6, 6))  # of eps in exp(eps) T_world_cam
+
+    def reset(self, keyframes: int = 0) -> None:
+        """Start anew with keyframes that are certain: the world is theirs."""
+        self._covariances = np.zeros((keyframes, 6, 6))
+
+    def add(self, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]) -> None:
+        """Add a keyframe with the covariance (6, 6) of its pose in the world, camera frame."""
+        Ad = se3.adjoint(T_world_cam)
+        self._covariances = np.concatenate([self._covariances, [Ad @ covariance @ Ad.T]])
+
+    def in_world(
+        self,
+        T_world_cam: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        hosts: NDArray[np.int32],
+    ) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) in the world of a frame with its own (6, 6) in the map.
+
+        `hosts` (N,) are the keyframes of the Gaussians that it matches.
+        """
+        shares = np.bincount(hosts, minlength=len(self._covariances)) / max(len(hosts), 1)
+        Ad = se3.adjoint(se3.inverse(T_world_cam))
+        return Ad @ np.einsum('k,kab->ab', shares, self._covariances) @ Ad.T + covariance

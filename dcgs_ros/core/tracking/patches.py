@@ -149,8 +149,10 @@ def _align(image, patches, warps, pixels, correlation):
         x, y = pixels[i, 0], pixels[i, 1]
         for step in range(_STEPS + 1):
             if not (
-                x >= reach_x and y >= reach_y
-                and x < width - 1.0 - reach_x and y < height - 1.0 - reach_y
+                x >= reach_x
+                and y >= reach_y
+                and x < width - 1.0 - reach_x
+                and y < height - 1.0 - reach_y
             ):
                 correlation[i] = -1.0
                 break

@@ -7,7 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.datasets.synthetic.motion.path import poses_of
 from dcgs_ros.datasets.synthetic.raycast import BOX, SPHERE, Scene, cast
+from dcgs_ros.datasets.synthetic.scenes.builder import SceneBuilder
 from dcgs_ros.datasets.synthetic.textures import (
     MIP_LEVELS,
     TEXTURE_NAMES,
@@ -161,3 +163,22 @@ def test_mip_levels_keep_the_mean(texture):
         texels = textures.texels[start : start + size * size]
         means.append([(texels >> shift & 255).mean() for shift in (0, 8, 16)])
     np.testing.assert_allclose(means, np.tile(means[0], (MIP_LEVELS, 1)), atol=0.2)
+
+
+def test_rolling_rows_find_what_only_they_have_in_front():
+    """A post behind a wall's depth for the middle row, and before it for the last, is not lost."""
+    turn = np.deg2rad(40.0)
+    build = SceneBuilder()
+    build.box((0, 0, 0), (9, 9, 9), None)
+    build.box((2.46 * np.cos(turn), 2.46 * np.sin(turn), 0), (0.01, 3, 3), None, yaw=turn)
+    build.box((2.55, 0.5, 0), (0.04, 0.06, 3), None)
+    scene = build.build((0.0, 0.0, 5.0), 0.5)
+    zero = np.zeros(CAMERA.height)
+    yaws = np.where(np.arange(CAMERA.height) < 64, 0.0, 40.0)  # a tile border
+    rows = poses_of(np.stack([zero, zero, zero, yaws, zero, zero]))
+    middle = poses_of(np.zeros((6, 1)))[0]
+    rolling = cast(scene, build_textures(), CAMERA, middle, color=False, T_world_rows=rows)
+    for y in (0, 36, 71):
+        alone = cast(scene, build_textures(), CAMERA, rows[y], color=False).depth_m[y]
+        np.testing.assert_allclose(rolling.depth_m[y], alone, atol=1e-4)
+    assert rolling.depth_m[71].min() < 2.4

@@ -16,7 +16,7 @@ from .structured_light import StructuredLight
 
 _BIAS_STREAM, _HOLE_STREAM = 4, DEPTH_NOISE + 1
 _WHITE_LEVEL = 200.0  # grey levels of a white surface
-_LEAST_RETURN = 0.065  # of a white surface at 1 m, seen straight on
+_LEAST_RETURN = 0.055  # of a white surface at 1 m, seen straight on
 
 
 class UncalibratedLight:

@@ -67,4 +67,4 @@ def test_what_is_dark_far_or_grazing_is_lost():
     assert share(brightness=160.0) > 0.95
     assert share(brightness=20.0) < 0.05
     assert share(brightness=160.0, depth_m=5.0) < 0.05
-    assert share(brightness=160.0, cosine=0.2) < 0.05
+    assert share(brightness=160.0, cosine=0.17) < 0.05

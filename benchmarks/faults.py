@@ -151,7 +151,9 @@ def _addresses(short: bool, seeds: int, data: Path | None) -> Iterator[tuple[str
     for address in (SHORT,) if short else SYNTHETIC:
         for seed in range(seeds):
             yield f'{address}seed={seed}', seed
-    for name in () if short or data is None else REAL:
+    if short or data is None:
+        return
+    for name in REAL:
         if (data / name).is_dir():
             yield str(data / name), 0
         else:

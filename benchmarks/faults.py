@@ -168,8 +168,12 @@ def main() -> None:
     parser.add_argument('--seeds', type=int, default=1, help='of each synthetic sequence')
     parser.add_argument('--data', type=Path, default=os.environ.get('DCGS_TEST_DATA'))
     parser.add_argument('--short', action='store_true', help='one sequence of 5 s')
+    parser.add_argument('--list', action='store_true', help='say what the faults are')
     arguments = parser.parse_args()
     faults = [fault for fault in FAULTS if arguments.only in fault.name]
+    if arguments.list:
+        print('\n'.join(f'{fault.name:24s}{fault.what}' for fault in faults))
+        return
     data = None if arguments.data is None else Path(arguments.data)
     sums: Counter[str] = Counter()
     for address, seed in _addresses(arguments.short, arguments.seeds, data):

@@ -270,14 +270,13 @@ def stamps_reversed(clip: Clip, seconds: float, seed: int) -> Faulted:
     return Faulted(shots, begin, end)
 
 
-_UNKNOWN_POSE = {'degenerate_detects': False}
 FAULTS = (
     Fault('black-out 0.5 s', 'no frames', 0.5, blackout),
     Fault('black-out 2 s', 'no frames', 2.0, blackout),
     Fault('black-out 10 s', 'no frames', 10.0, blackout),
     Fault('gap in motion', 'no frames for 1 s where the camera moves most', 1.0, gap_in_motion),
     Fault('lens covered', 'black colour, depth of 5 % noise near the camera', 2.0,
-          changed(image_faults.lens_covered), **_UNKNOWN_POSE),
+          changed(image_faults.lens_covered), degenerate_detects=False),
     Fault('colour black', 'black colour, depth as usual', 2.0,
           changed(image_faults.color_black)),
     Fault('depth zero', 'colour as usual', 2.0, changed(image_faults.depth_zero)),
@@ -298,7 +297,7 @@ FAULTS = (
     Fault('stuck block', 'a third of the depth image does not change', 2.0,
           changed(image_faults.stuck_block)),
     Fault('frozen', 'the same images under new stamps', 2.0,
-          changed(image_faults.frozen), **_UNKNOWN_POSE),
+          changed(image_faults.frozen), degenerate_detects=False),
     Fault('repeated', '3 % of the frames repeat the images before, to the end', 1e3,
           repeat_some(0.03)),
     Fault('5 of 6 dropped', 'every sixth frame arrives', 2.0, drop_most(6)),
@@ -314,9 +313,9 @@ FAULTS = (
     Fault('box, moving', 'a near box over a third of the image goes to and fro', 2.0,
           changed(image_faults.box(moving=True))),
     Fault('kidnapped, seen', 'a cut to a place seen before', 0.0, kidnapped_to_seen,
-          **_UNKNOWN_POSE),
+          degenerate_detects=False),
     Fault('kidnapped, unseen', 'a cut to another scene, and back', 1.5, kidnapped_and_back,
-          **_UNKNOWN_POSE),
+          degenerate_detects=False),
     Fault('one stamp ahead', 'one frame is stamped an hour ahead', 0.0, one_stamp_ahead),
     Fault('clock ahead', 'the clock is set an hour ahead', 0.0, clock_jumps(_HOUR_NS)),
     Fault('clock back', 'the clock is set back an hour', 0.0, clock_jumps(-_HOUR_NS)),

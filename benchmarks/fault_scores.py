@@ -12,19 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dcgs_ros.core import se3
 from dcgs_ros.core.tracking.result import TrackResult
+from dcgs_ros.core.trajectory import Trajectory
+from dcgs_ros.evaluation.consistency import SilentFrames, silent_frames
 from dcgs_ros.evaluation.trajectory import align_umeyama
 
 from .frame_faults import Fault, Faulted, Shot
 
 _SECOND_S = 1.0
-_SILENT_M = 0.10
-_SILENT_SIGMAS = 15.0  # 5 times the claimed 3 sigma
 _RECOVERED_M, _RECOVERED_RAD = 0.05, np.radians(5.0)
 _RECOVERED_FRAMES = 10  # in a row, or to the end
 _BEYOND_M, _BEYOND_RAD = 0.10, np.radians(10.0)
-_TOLERANCE_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -71,30 +69,22 @@ class Run:
         )
 
 
-def errors_of_last_second(
-    poses: NDArray[np.float64],  # (N, 4, 4) estimated T_world_cam
-    truth: NDArray[np.float64],  # (N, 4, 4)
-    times_s: NDArray[np.float64],  # (N,)
-    ok: NDArray[np.bool_],  # (N,)
-) -> NDArray[np.float64]:
-    """Return (N,) metres: the error of the motion since a second ago, NaN where not `ok`.
+def silent(run: Run) -> SilentFrames:
+    """Return which frames are wrong and sure over the last second of true time.
 
-    It is the motion since the last pose at least a second old that was `ok`: across a fault, since
-    before the fault.
+    Refused frames have no pose and are never silent. Stamps do not count: they may be the fault.
     """
-    errors = np.full(len(poses), np.nan)
-    for k in np.flatnonzero(ok):
-        old = np.flatnonzero(ok[:k] & (times_s[:k] <= times_s[k] - _SECOND_S + _TOLERANCE_S))
-        if len(old):
-            moved = se3.inverse(poses[old[-1]]) @ poses[k]
-            moved_truly = se3.inverse(truth[old[-1]]) @ truth[k]
-            errors[k] = np.linalg.norm((se3.inverse(moved_truly) @ moved)[:3, 3])
-    return errors
-
-
-def silent(errors_m: NDArray[np.float64], sigmas_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return (N,) which frames are wrong and sure, by the errors of the last second."""
-    return (errors_m > _SILENT_M) | (errors_m > _SILENT_SIGMAS * sigmas_m)
+    given = np.flatnonzero([result is not None for result in run.results])
+    stamps_ns = np.round(run.times_s[given] * 1e9).astype(np.int64)
+    found = silent_frames(
+        Trajectory(stamps_ns, run.poses[given]),
+        [result.state for result in run.results if result is not None],
+        run.sigmas_m[given], Trajectory(stamps_ns, run.truth[given]),
+    )  # fmt: skip
+    judged, off, overconfident = (np.zeros(len(run.shots), np.bool_) for _ in range(3))
+    judged[given], off[given] = found.judged, found.off
+    overconfident[given] = found.overconfident
+    return SilentFrames(judged, off, overconfident)
 
 
 @dataclass(frozen=True)
@@ -149,7 +139,7 @@ class Score:
 
     detected_s: float | None  # after its beginning; None: not
     recovered_s: float | None  # after its end; None: not
-    silent: int  # frames that are wrong over the last second, and sure
+    silent: int  # frames that are wrong over the last second, and sure (`silent_frames`)
     silent_10_cm: int  # those of them that are wrong by more than 10 cm
     absolute: int  # frames that are wrong in the map by more than the run without fault, and sure
     worst_cm: float  # largest error in the map while sure
@@ -159,8 +149,7 @@ class Score:
 def score(fault: Fault, faulted: Faulted, run: Run, reference: Reference) -> Score:
     """Judge a run with a fault."""
     after = np.arange(len(run.shots)) >= faulted.begin
-    moved_wrong = errors_of_last_second(run.poses, run.truth, run.times_s, run.ok)
-    wrong_and_sure = silent(moved_wrong, run.sigmas_m) & after
+    found = silent(run)
     errors, clean = reference.errors_of(run), reference.errors_at(run.shots)
     beyond = (errors.metres > clean.metres + _BEYOND_M) | (
         errors.radians > clean.radians + _BEYOND_RAD
@@ -168,7 +157,7 @@ def score(fault: Fault, faulted: Faulted, run: Run, reference: Reference) -> Sco
     sure = run.ok & after
     return Score(
         _detected_s(fault, faulted, run), _recovered_s(faulted, run, errors, clean),
-        int(wrong_and_sure.sum()), int((wrong_and_sure & (moved_wrong > _SILENT_M)).sum()),
+        int((found.silent & after).sum()), int((found.off & after).sum()),
         int((sure & beyond).sum()), 100 * float(np.max(errors.metres[sure], initial=0.0)),
         Counter(run.states[faulted.begin :]),
     )  # fmt: skip

@@ -138,7 +138,8 @@ class Score:
     """What came of a fault; frames are counted from its beginning to the end of the sequence."""
 
     detected_s: float | None  # after its beginning; None: not
-    recovered_s: float | None  # after its end; None: not
+    recovered_s: float | None  # after its end, once a place seen before is in view; None: not
+    seen: bool  # whether there was such a place after the fault
     silent: int  # frames that are wrong over the last second, and sure (`silent_frames`)
     silent_10_cm: int  # those of them that are wrong by more than 10 cm
     absolute: int  # frames that are wrong in the map by more than the run without fault, and sure
@@ -146,8 +147,10 @@ class Score:
     states: Counter[str]
 
 
-def score(fault: Fault, faulted: Faulted, run: Run, reference: Reference) -> Score:
-    """Judge a run with a fault."""
+def score(
+    fault: Fault, faulted: Faulted, run: Run, reference: Reference, seen: NDArray[np.bool_]
+) -> Score:
+    """Judge a run with a fault; `seen` (N,) says whether a shot is of a place seen before it."""
     after = np.arange(len(run.shots)) >= faulted.begin
     found = silent(run)
     errors, clean = reference.errors_of(run), reference.errors_at(run.shots)
@@ -156,7 +159,8 @@ def score(fault: Fault, faulted: Faulted, run: Run, reference: Reference) -> Sco
     )
     sure = run.ok & after
     return Score(
-        _detected_s(fault, faulted, run), _recovered_s(faulted, run, errors, clean),
+        _detected_s(fault, faulted, run), _recovered_s(faulted, run, errors, clean, seen),
+        bool(seen[faulted.end :].any()),
         int((found.silent & after).sum()), int((found.off & after).sum()),
         int((sure & beyond).sum()), 100 * float(np.max(errors.metres[sure], initial=0.0)),
         Counter(run.states[faulted.begin :]),
@@ -173,13 +177,19 @@ def _detected_s(fault: Fault, faulted: Faulted, run: Run) -> float | None:
     return None
 
 
-def _recovered_s(faulted: Faulted, run: Run, errors: Errors, clean: Errors) -> float | None:
-    """Return when the pose is right and sure again, and stays so for a while."""
+def _recovered_s(
+    faulted: Faulted, run: Run, errors: Errors, clean: Errors, seen: NDArray[np.bool_]
+) -> float | None:
+    """Return when the pose is right and sure again, and stays so for a while.
+
+    Time counts from the end of the fault, or from when the camera comes to a place seen before.
+    """
     right = (errors.metres < np.maximum(_RECOVERED_M, 2 * clean.metres)) & (
         errors.radians < np.maximum(_RECOVERED_RAD, 2 * clean.radians)
     )
     back = run.ok & right
     for k in range(faulted.end, len(back)):
         if back[k : k + _RECOVERED_FRAMES].all():
-            return float(run.times_s[k] - run.times_s[faulted.end])
+            start = faulted.end + int(np.argmax(seen[faulted.end :]))
+            return max(0.0, float(run.times_s[k] - run.times_s[start]))
     return None

@@ -106,19 +106,22 @@ def track(camera: PinholeCamera, config: Config, shots: Sequence[Shot]) -> Run:
 
 def scores(clip: Clip, faults: Sequence[Fault], seed: int) -> Iterator[tuple[Fault, Score]]:
     """Track the sequence without a fault and with each; yield what came of them."""
-    config = Config(sensor=clip.sensor)
-    clean = _whole(clip)
+    config, clean = Config(sensor=clip.sensor), _whole(clip)
     run = track(clip.camera, config, clean.shots)
     reference = Reference.of(run)
-    yield NO_FAULT, score(NO_FAULT, clean, run, reference)
+    everywhere = np.ones(len(clip.shots), np.bool_)
+    yield NO_FAULT, score(NO_FAULT, clean, run, reference, everywhere)
     for fault in faults:
         faulted = fault.put_into(clip, seed)
-        yield fault, score(fault, faulted, track(clip.camera, config, faulted.shots), reference)
+        run = track(clip.camera, config, faulted.shots)
+        seen = clip.seen_before(faulted.shots, faulted.begin)
+        yield fault, score(fault, faulted, run, reference, seen)
 
 
 def _row(fault: Fault, found: Score) -> str:
     detected = '   no      ' if found.detected_s is None else f'  yes {found.detected_s:5.2f}'
-    recovered = '   no' if found.recovered_s is None else f'{found.recovered_s:5.2f}'
+    not_recovered = 'no' if found.seen else 'unseen'
+    recovered = not_recovered if found.recovered_s is None else f'{found.recovered_s:.2f}'
     states = ' '.join(f'{state} {n}' for state, n in sorted(found.states.items()))
     return (
         f'{fault.name:24s} {detected} {recovered:>9s} {found.silent:6d} {found.silent_10_cm:6d}'
@@ -139,7 +142,8 @@ def _table(name: str, clip: Clip, faults: Sequence[Fault], seed: int) -> Counter
         if fault is not NO_FAULT:
             sums += Counter(
                 faults=1, detected=found.detected_s is not None,
-                recovered=found.recovered_s is not None, silent=found.silent,
+                recovered=found.recovered_s is not None,
+                seen=found.seen or found.recovered_s is not None, silent=found.silent,
                 silent_10_cm=found.silent_10_cm, absolute=found.absolute,
                 silent_kinds=found.silent > 0,
             )  # fmt: skip
@@ -181,7 +185,8 @@ def main() -> None:
             clip = clip_of(open_source(address))
             sums += _table(address.rsplit('/', 1)[-1], clip, faults, seed)
     print(
-        f'\n{sums["faults"]} faults: {sums["detected"]} detected, {sums["recovered"]} recovered, '
+        f'\n{sums["faults"]} faults: {sums["detected"]} detected; recovered {sums["recovered"]} '
+        f'of {sums["seen"]} that end where the camera had been; '
         f'{sums["silent_kinds"]} with silent frames: {sums["silent"]}, of which '
         f'{sums["silent_10_cm"]} by more than 10 cm; {sums["absolute"]} wrong in the map'
     )

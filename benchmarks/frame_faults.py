@@ -22,12 +22,14 @@ from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.source import BadFrame
 
 from . import image_faults
+from .covisibility import share_seen
 from .image_faults import Change, Images, Window
 
 _BEGIN = 0.4  # of the sequence
 _MOTION_UNTIL = 0.7  # of the sequence: where a gap in motion begins at the latest
 _RAD_PER_M = 1.0  # how much turning counts as much as a metre
 _HOUR_NS = 3600 * 10**9
+_SEEN, _SEEN_EVERY = 0.6, 6  # share of a view, that one of every so many frames has seen
 _FAR_M = 100.0  # from the sequence to a place that it does not show
 
 
@@ -60,6 +62,20 @@ class Clip:
     def times_s(self) -> NDArray[np.float64]:
         """(N,) of the shots."""
         return np.array([shot.time_s for shot in self.shots])
+
+    def seen_before(self, shots: Sequence[Shot], begin: int) -> NDArray[np.bool_]:
+        """Return (N,) whether the places of shots were seen before the frame `begin`."""
+        frames = range(0, begin, _SEEN_EVERY)
+        earlier = [(self.frame(k), self.shots[k].T_world_cam) for k in frames]
+        return np.array(
+            [
+                shot.source is not None
+                and share_seen(
+                    (self.frame(shot.source), shot.T_world_cam), earlier, self.camera
+                ) >= _SEEN
+                for shot in shots
+            ]
+        )  # fmt: skip
 
     def begin(self) -> int:
         """Return where faults begin."""

@@ -50,6 +50,7 @@ def run(moves_m: NDArray[np.float64], states: Sequence[str]) -> Run:
 
 NOWHERE_OFF = np.zeros(FRAMES)
 ALL_OK = ['ok'] * FRAMES
+SEEN = np.ones(FRAMES, np.bool_)
 CLEAN = run(NOWHERE_OFF, ALL_OK)
 
 
@@ -61,8 +62,13 @@ def off_by(metres: float, begin: int = BEGIN, end: int = FRAMES) -> NDArray[np.f
     return np.where((np.arange(FRAMES) >= begin) & (np.arange(FRAMES) < end), metres, 0.0)
 
 
-def scored(moves_m: NDArray[np.float64], states: Sequence[str], fault: Fault = FAULT) -> Score:
-    return score(fault, FAULTED, run(moves_m, states), Reference.of(CLEAN))
+def scored(
+    moves_m: NDArray[np.float64],
+    states: Sequence[str],
+    fault: Fault = FAULT,
+    seen: NDArray[np.bool_] = SEEN,
+) -> Score:
+    return score(fault, FAULTED, run(moves_m, states), Reference.of(CLEAN), seen)
 
 
 def test_a_right_pose_is_never_silent_in_whatever_world() -> None:
@@ -127,6 +133,16 @@ def test_recovered_is_right_and_sure_for_a_while() -> None:
     assert scored(passing, ALL_OK).recovered_s == pytest.approx(0.7)
 
 
+def test_recovery_counts_from_when_a_place_seen_before_is_in_view() -> None:
+    late = during('lost', BEGIN, END + 9)
+    coming = np.arange(FRAMES) >= END + 6
+    found = scored(NOWHERE_OFF, late, seen=coming)
+    assert found.seen and found.recovered_s == pytest.approx(0.3)
+    assert scored(NOWHERE_OFF, ALL_OK, seen=coming).recovered_s == 0.0
+    never = scored(NOWHERE_OFF, during('lost', BEGIN, FRAMES), seen=~SEEN)
+    assert never.recovered_s is None and not never.seen
+
+
 def test_a_turned_camera_has_not_recovered_though_its_place_is_right() -> None:
     r = run(NOWHERE_OFF, ALL_OK)
     turn = se3.exp(np.array([0, 0, 0, 0, np.radians(20.0), 0]))
@@ -136,5 +152,5 @@ def test_a_turned_camera_has_not_recovered_though_its_place_is_right() -> None:
         else TrackResult(**{**vars(result), 'T_world_cam': result.T_world_cam @ turn})
         for k, result in enumerate(poses)
     ]  # fmt: skip
-    found = score(FAULT, FAULTED, Run(SHOTS, turned), Reference.of(CLEAN))
+    found = score(FAULT, FAULTED, Run(SHOTS, turned), Reference.of(CLEAN), SEEN)
     assert found.recovered_s is None and found.absolute == FRAMES - BEGIN

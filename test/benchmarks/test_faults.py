@@ -46,7 +46,8 @@ def reference() -> tuple[Run, Reference]:
 def scored(fault: Fault) -> Score:
     faulted = fault.put_into(clip(), SEED)
     run = track(clip().camera, Config(sensor=clip().sensor), faulted.shots)
-    return score(fault, faulted, run, reference()[1])
+    seen = clip().seen_before(faulted.shots, faulted.begin)
+    return score(fault, faulted, run, reference()[1], seen)
 
 
 def test_truth_is_interpolated_between_its_stamps() -> None:
@@ -76,7 +77,7 @@ def test_frames_are_tracked_as_a_run_does_and_bad_ones_are_refused() -> None:
 def test_without_a_fault_no_frame_is_silent() -> None:
     run, found = reference()
     clean = NO_FAULT.put_into(clip(), SEED)
-    assert score(NO_FAULT, clean, run, found).silent == 0
+    assert score(NO_FAULT, clean, run, found, np.ones(len(clean.shots), np.bool_)).silent == 0
 
 
 @pytest.mark.slow

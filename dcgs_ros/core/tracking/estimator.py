@@ -7,12 +7,13 @@ Nothing is stored on the way: an estimate that is not believed is dropped as a w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
@@ -25,7 +26,8 @@ from .motion import ConstantVelocity
 from .registration import DepthTerm, Registration, register, start_from_landmarks
 
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
-_SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the start
+_SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the pose
+_FAR_SIGMAS = 3.0  # of a hand's acceleration: beyond, likewise
 
 
 @dataclass(frozen=True)
@@ -118,18 +120,31 @@ def estimate(
     cloud = cloud.moved(memory.depth_motion(frame, start.T_world_cam))
     depth = DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
 
-    # III-E, joint Levenberg-Marquardt; from the prediction too where landmarks misled the start.
+    # III-E, joint Levenberg-Marquardt; without landmarks where they contradict depth or motion.
     found = register(start.T_world_cam, depth, image, config, start.search_m)
-    if start.by_landmarks and found.overlap < _SUSPICIOUS * memory.overlap:
+    if image is not None and _misled(found, prior, memory):
         search_m = config.registration.guess_radius_m
-        second = register(prior.T_world_cam, depth, image, config, search_m)
-        found = max(found, second, key=lambda result: result.overlap)
+        second = register(prior.T_world_cam, depth, None, config, search_m)
+        if _jump(second, prior) < _jump(found, prior) and second.overlap > found.overlap:
+            found = replace(second, image=image)
 
     T = found.T_world_cam
     registered = RegisteredFrame(
         frame, T, memory.depth_motion(frame, T), grey, memory.depth_twist(frame, T)
     )
     return Estimate(registered, found, landmarks, fresh)
+
+
+def _jump(found: Registration, prior: PosePrior) -> float:
+    """Return how far a pose is from the predicted one, standard deviations of a hand's motion."""
+    xi = se3.log(se3.inverse(prior.T_world_cam) @ found.T_world_cam)
+    sigmas = np.linalg.norm(xi[:3]) / prior.sigma_m, np.linalg.norm(xi[3:]) / prior.sigma_rad
+    return float(max(sigmas))
+
+
+def _misled(found: Registration, prior: PosePrior, memory: Memory) -> bool:
+    """Return whether landmarks may have pulled the pose away from what depth says."""
+    return found.overlap < _SUSPICIOUS * memory.overlap or _jump(found, prior) > _FAR_SIGMAS
 
 
 def to_grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -195,7 +210,6 @@ class _Start:
 
     T_world_cam: NDArray[np.float64]  # (4, 4)
     search_m: float  # how far the first association looks
-    by_landmarks: bool
     Q: NDArray[np.float64] | None  # (6, 6) of the motion between depth's and colour's instants
 
 
@@ -213,6 +227,6 @@ def _start(
     """
     settings = config.registration
     if image is None or len(image.points) < config.landmarks.min_start:
-        return _Start(prior.T_world_cam, settings.guess_radius_m, False, None)
+        return _Start(prior.T_world_cam, settings.guess_radius_m, None)
     Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
-    return _Start(start_from_landmarks(prior, image), settings.radius_m, True, Q)
+    return _Start(start_from_landmarks(prior, image), settings.radius_m, Q)

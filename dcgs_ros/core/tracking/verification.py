@@ -25,6 +25,7 @@ _CHI2_RISE = 3.0  # of the usual median of depth's residuals; at most 2.4 there
 _DOUBTFUL_RISE = 1.8
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
+_SUPPORT, _MANY = 0.8, 50  # share and number of consistent landmarks
 _SETTLING = 0.1  # share by which a frame changes what is usual
 
 
@@ -58,6 +59,7 @@ class Evidence:
     agreement_ratio: float  # of the map with the frame, to the usual one; 1 if overlap is kept
     chi2_ratio: float  # median of the depth factors, to the usual one
     consistent: float  # share of the landmarks that agree with the pose; 1: there are none
+    landmarks: int
 
     @property
     def misfits(self) -> bool:
@@ -72,14 +74,16 @@ class Evidence:
     def contradicts(self) -> bool:
         """Whether the estimate is wrong: a jump or a misfit that cannot be, or two doubts.
 
-        Landmarks alone do not make it wrong, as things move and turn in front of a camera.
+        Landmarks alone do not make it wrong, as things move and turn in front of a camera; many
+        that agree outweigh a doubt.
         """
         jumps = self.jump_sigmas > _DOUBTFUL_SIGMAS
         dissent = self.consistent < _DISSENT
+        support = self.consistent > _SUPPORT and self.landmarks >= _MANY
         return (
             self.jump_sigmas > _JUMP_SIGMAS
             or self.chi2_ratio > _CHI2_RISE
-            or jumps + dissent + self.misfits >= 2
+            or jumps + dissent + self.misfits - support >= 2
         )
 
     @property
@@ -121,7 +125,7 @@ def weigh(
             float(np.linalg.norm(jump[:3])) / prior.sigma_m,
             float(np.linalg.norm(jump[3:])) / prior.sigma_rad,
         ),
-        overlap, agreement, chi2, consistent,
+        overlap, agreement, chi2, consistent, len(found.landmarks),
     )  # fmt: skip
 
 

@@ -114,19 +114,16 @@ def estimate(
     # The landmarks alone give a start, where there are enough.
     start = _start(frame, memory, prior, image, config)
 
-    # III-B and III-C, depth residual: a_i, n_i and D_i at colour's instant, targets with Sigma_t.
-    twist = memory.depth_twist(frame, start.T_world_cam)
-    cloud = sample(frame, camera, config, config.cloud.stride_px, twist)
-    cloud = cloud.moved(memory.depth_motion(frame, start.T_world_cam))
-    depth = DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
+    # III-B, III-C and III-E: the depth residual, and joint Levenberg-Marquardt with the landmarks.
+    def registered_from(start: _Start, image: PointFactors | None) -> Registration:
+        depth = _depth_term(frame, memory, gaussians, camera, config, start)
+        return register(start.T_world_cam, depth, image, config, start.search_m)
 
-    # III-E, joint Levenberg-Marquardt; without landmarks where they contradict depth or motion.
-    found = register(start.T_world_cam, depth, image, config, start.search_m)
+    found = registered_from(start, image)
     if image is not None and _misled(found, prior, memory):
-        search_m = config.registration.guess_radius_m
-        second = register(prior.T_world_cam, depth, None, config, search_m)
-        if _jump(second, prior) < _jump(found, prior) and second.overlap > found.overlap:
-            found = replace(second, image=image)
+        alone = registered_from(_start(frame, memory, prior, None, config), None)
+        if alone.overlap > found.overlap and _jump(alone, prior) < _jump(found, prior):
+            found = replace(alone, image=image)
 
     T = found.T_world_cam
     registered = RegisteredFrame(
@@ -202,6 +199,22 @@ def _measured(
         frame.depth_m, T, memory.depth_motion(frame, T), camera, config.sensor, config.landmarks,
         weight,
     )  # fmt: skip
+
+
+def _depth_term(
+    frame: RgbdFrame,
+    memory: Memory,
+    gaussians: GaussianMap,
+    camera: PinholeCamera,
+    config: Config,
+    start: _Start,
+) -> DepthTerm:
+    """Sample a_i, n_i and D_i at colour's instant, as the start says that the camera moves."""
+    T = start.T_world_cam
+    cloud = sample(
+        frame, camera, config, config.cloud.stride_px, memory.depth_twist(frame, T)
+    ).moved(memory.depth_motion(frame, T))
+    return DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
 
 
 @dataclass(frozen=True)

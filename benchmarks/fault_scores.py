@@ -21,7 +21,7 @@ from .frame_faults import Fault, Faulted, Shot
 
 _SECOND_S = 1.0
 _RECOVERED_M, _RECOVERED_RAD = 0.05, np.radians(5.0)
-_RECOVERED_FRAMES = 10  # in a row, or to the end
+_LASTING_FRAMES = 10  # in a row, or to the end, are not by chance
 _BEYOND_M, _BEYOND_RAD = 0.10, np.radians(10.0)
 
 
@@ -139,7 +139,7 @@ class Score:
 
     detected_s: float | None  # after its beginning; None: not
     recovered_s: float | None  # after its end, once a place seen before is in view; None: not
-    seen: bool  # whether there was such a place after the fault
+    seen: bool  # whether the camera came to such a place, for a while
     silent: int  # frames that are wrong over the last second, and sure (`silent_frames`)
     silent_10_cm: int  # those of them that are wrong by more than 10 cm
     absolute: int  # frames that are wrong in the map by more than the run without fault, and sure
@@ -160,7 +160,7 @@ def score(
     sure = run.ok & after
     return Score(
         _detected_s(fault, faulted, run), _recovered_s(faulted, run, errors, clean, seen),
-        bool(seen[faulted.end :].any()),
+        bool(_lasting(seen)[faulted.end :].any()),
         int((found.silent & after).sum()), int((found.off & after).sum()),
         int((sure & beyond).sum()), 100 * float(np.max(errors.metres[sure], initial=0.0)),
         Counter(run.states[faulted.begin :]),
@@ -187,9 +187,14 @@ def _recovered_s(
     right = (errors.metres < np.maximum(_RECOVERED_M, 2 * clean.metres)) & (
         errors.radians < np.maximum(_RECOVERED_RAD, 2 * clean.radians)
     )
-    back = run.ok & right
+    back = _lasting(run.ok & right)
     for k in range(faulted.end, len(back)):
-        if back[k : k + _RECOVERED_FRAMES].all():
-            start = faulted.end + int(np.argmax(seen[faulted.end :]))
+        if back[k]:
+            start = faulted.end + int(np.argmax(_lasting(seen)[faulted.end :]))
             return max(0.0, float(run.times_s[k] - run.times_s[start]))
     return None
+
+
+def _lasting(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (N,) where a mask holds, and goes on to hold for a while or to the end."""
+    return np.array([mask[k : k + _LASTING_FRAMES].all() for k in range(len(mask))], np.bool_)

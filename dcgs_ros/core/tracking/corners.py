@@ -37,12 +37,12 @@ def corners(
     strength = cv2.cornerMinEigenVal(half, 3)
     weakest = config.min_gradient_sigmas * noise(half)
     reach = config.min_distance_px / 2.0
-    for x, y in np.round(taken / 2.0).astype(int):
-        cv2.circle(strength, (int(x), int(y)), round(reach), 0.0, -1)
+    for centre in np.round(taken / 2.0).astype(int).tolist():
+        cv2.circle(strength, centre, round(reach), 0.0, -1)
     around = np.ones((2 * round(reach) + 1,) * 2, np.uint8)
     strength[:2] = strength[-2:] = strength[:, :2] = strength[:, -2:] = 0.0
     peaks = strength >= np.maximum(cv2.dilate(strength, around), weakest**2 * _EIGENVALUE)
-    y, x = np.nonzero(peaks)
+    y, x = np.divmod(np.flatnonzero(peaks), half.shape[1])
     order = _by_cell(strength[y, x], y * _GRID[0] // half.shape[0], x * _GRID[1] // half.shape[1])
     order = order[:wanted]
     return np.column_stack([x[order], y[order]]).astype(np.float32) * 2.0 + 0.5
@@ -53,8 +53,9 @@ def noise(grey: NDArray[np.uint8]) -> float:
 
     It is the median of the Laplacian of a Laplacian, which little of a scene's structure survives.
     """
-    response = cv2.filter2D(grey, cv2.CV_32F, _LAPLACIAN)
-    return max(1.4826 * float(np.median(np.abs(response))) / 6.0, _LEAST_NOISE)
+    response = np.abs(cv2.filter2D(grey, cv2.CV_16S, _LAPLACIAN)).ravel()
+    middle = len(response) // 2
+    return max(1.4826 * float(np.partition(response, middle)[middle]) / 6.0, _LEAST_NOISE)
 
 
 def spread(pixels: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.int64]:

@@ -121,24 +121,26 @@ def _align(image, patches, warps, pixels, correlation):
     height, width = image.shape
     half = SIDE // 2
     n = (SIDE - 2) * (SIDE - 2)  # the rim only serves for gradients
-    there = np.empty(n)
+    here, slope_x, slope_y, there = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(pixels.shape[0]):
         correlation[i] = -1.0
         patch = patches[i]
-        mean = 0.0
+        mean = xx = xy = yy = energy = 0.0
+        k = 0
         for r in range(1, SIDE - 1):
             for c in range(1, SIDE - 1):
-                mean += patch[r, c]
+                here[k] = patch[r, c]
+                slope_x[k] = 0.5 * (patch[r, c + 1] - patch[r, c - 1])
+                slope_y[k] = 0.5 * (patch[r + 1, c] - patch[r - 1, c])
+                mean += here[k]
+                k += 1
         mean /= n
-        xx = xy = yy = energy = 0.0
-        for r in range(1, SIDE - 1):
-            for c in range(1, SIDE - 1):
-                gx = 0.5 * (patch[r, c + 1] - patch[r, c - 1])
-                gy = 0.5 * (patch[r + 1, c] - patch[r - 1, c])
-                xx += gx * gx
-                xy += gx * gy
-                yy += gy * gy
-                energy += (patch[r, c] - mean) ** 2
+        for k in range(n):
+            here[k] -= mean
+            xx += slope_x[k] * slope_x[k]
+            xy += slope_x[k] * slope_y[k]
+            yy += slope_y[k] * slope_y[k]
+            energy += here[k] * here[k]
         determinant = xx * yy - xy * xy
         if not (determinant > 1e-6 * (xx + yy) ** 2 and energy > _FLATTEST):
             continue
@@ -165,25 +167,19 @@ def _align(image, patches, warps, pixels, correlation):
                     k += 1
             average /= n
             both = variance = 0.0
-            k = 0
-            for r in range(1, SIDE - 1):
-                for c in range(1, SIDE - 1):
-                    value = there[k] - average
-                    both += value * (patch[r, c] - mean)
-                    variance += value * value
-                    k += 1
+            for k in range(n):
+                there[k] -= average
+                both += there[k] * here[k]
+                variance += there[k] * there[k]
             correlation[i] = both / math.sqrt(max(variance, 1e-6) * energy)
             if step == _STEPS or not both > 0.0:
                 break
             gain = energy / both  # the image's contrast, brought to the patch's
             gx_sum = gy_sum = 0.0
-            k = 0
-            for r in range(1, SIDE - 1):
-                for c in range(1, SIDE - 1):
-                    error = gain * (there[k] - average) - (patch[r, c] - mean)
-                    gx_sum += 0.5 * (patch[r, c + 1] - patch[r, c - 1]) * error
-                    gy_sum += 0.5 * (patch[r + 1, c] - patch[r - 1, c]) * error
-                    k += 1
+            for k in range(n):
+                error = gain * there[k] - here[k]
+                gx_sum += slope_x[k] * error
+                gy_sum += slope_y[k] * error
             u = (yy * gx_sum - xy * gy_sum) / determinant
             v = (xx * gy_sum - xy * gx_sum) / determinant
             x -= a * u + b * v

@@ -42,7 +42,7 @@ class Usual:
         return replace(
             self,
             overlap=self.overlap + _SETTLING * (found.overlap - self.overlap),
-            chi2=self.chi2 + _SETTLING * (median_chi2(found) - self.chi2),
+            chi2=self.chi2 + _SETTLING * (found.median_chi2 - self.chi2),
         )
 
     def with_keyframe(self, agreement: float) -> Usual:
@@ -113,7 +113,7 @@ def weigh(
     overlap = agreement = chi2 = consistent = 1.0
     if found.sees_depth(config):
         overlap = result.overlap / max(memory.overlap, 1e-9)
-        chi2 = median_chi2(result) / usual.chi2
+        chi2 = result.median_chi2 / usual.chi2
         if overlap < _OVERLAP_DROP:
             T_depth = T @ registered.T_cam_cam_at_depth
             share = gaussians.agreement(T_depth, frame.depth_m, camera, config.sensor)
@@ -134,10 +134,3 @@ def is_repetition(frame: RgbdFrame, last: RgbdFrame) -> bool:
     if not np.array_equal(frame.color, last.color):
         return False
     return np.array_equal(frame.depth_m.view(np.uint32), last.depth_m.view(np.uint32))
-
-
-def median_chi2(found: Registration) -> float:
-    """Return the median of the depth factors' chi2; infinite where none has a match."""
-    chi2: NDArray[np.float64] = found.depth.chi2(found.T_world_cam)
-    matched = chi2[np.isfinite(chi2)]
-    return float(np.median(matched)) if len(matched) else np.inf

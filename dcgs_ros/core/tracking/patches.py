@@ -49,8 +49,11 @@ class Patches:
         points: NDArray[np.floating],  # (L, 3) of the landmarks, metres, camera frame
         T_world_cam: NDArray[np.float64],  # (4, 4)
         camera: PinholeCamera,
+        reach_px: float,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return where in the image they are (L, 2), and their correlation there (L,) in [-1, 1].
+
+        A search ends where it is more than `reach_px` in x or y from where it began.
 
         The patch is warped as the pose says that its surface is seen now (Baker and Matthews 2004,
         inverse compositional, without the mean and scaled to the image's contrast). The
@@ -63,7 +66,7 @@ class Patches:
         )  # (L, 2, 2): columns are the images of the two steps
         found = np.array(pixels, np.float32)
         correlation = np.empty(len(found), np.float32)
-        _align(image, self.grey, np.ascontiguousarray(warps), found, correlation)
+        _align(image, self.grey, np.ascontiguousarray(warps), reach_px, found, correlation)
         return found, correlation
 
 
@@ -113,10 +116,11 @@ def _sampled(image, x, y):
 
 
 @kernel
-def _align(image, patches, warps, pixels, correlation):
+def _align(image, patches, warps, reach, pixels, correlation):
     """Move `pixels` (L, 2) to where `patches` (L, SIDE, SIDE) fit `image` (H, W) best.
 
-    `warps` (L, 2, 2) map steps in the patch to steps in the image. Writes `correlation` (L,).
+    `warps` (L, 2, 2) map steps in the patch to steps in the image; a search ends more than `reach`
+    pixels from its start. Writes `correlation` (L,).
     """
     height, width = image.shape
     half = SIDE // 2
@@ -184,6 +188,7 @@ def _align(image, patches, warps, pixels, correlation):
             v = (xx * gy_sum - xy * gx_sum) / determinant
             x -= a * u + b * v
             y -= d * u + e * v
-            if u * u + v * v < _SETTLED_PX * _SETTLED_PX:
+            far = abs(x - pixels[i, 0]) > reach or abs(y - pixels[i, 1]) > reach
+            if far or u * u + v * v < _SETTLED_PX * _SETTLED_PX:
                 break
         pixels[i, 0], pixels[i, 1] = x, y

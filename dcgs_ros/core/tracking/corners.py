@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..config.stages import LandmarkConfig
+from ..kernels.jit import kernel
 
 # OpenCV's minimal eigenvalue of a 3x3 block where the weakest gradient is 1 grey level per pixel:
 # its Sobel operator has gain 8 and is divided by 4 * 3 * 255.
@@ -36,10 +39,9 @@ def corners(
     half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     strength = cv2.cornerMinEigenVal(half, 3)
     weakest = config.min_gradient_sigmas * noise(half)
-    reach = config.min_distance_px / 2.0
-    for centre in np.round(taken / 2.0).astype(int).tolist():
-        cv2.circle(strength, centre, round(reach), 0.0, -1)
-    around = np.ones((2 * round(reach) + 1,) * 2, np.uint8)
+    reach = round(config.min_distance_px / 2.0)
+    _clear(strength, np.round(taken / 2.0).astype(np.int64), reach)
+    around = np.ones((2 * reach + 1,) * 2, np.uint8)
     strength[:2] = strength[-2:] = strength[:, :2] = strength[:, -2:] = 0.0
     peaks = strength >= np.maximum(cv2.dilate(strength, around), weakest**2 * _EIGENVALUE)
     y, x = np.divmod(np.flatnonzero(peaks), half.shape[1])
@@ -74,3 +76,15 @@ def _by_cell(
     first = np.searchsorted(cell[order], cell[order])  # where each one's cell begins
     rank = np.arange(len(order)) - first
     return order[np.lexsort((-strength[order], rank))]
+
+
+@kernel
+def _clear(image, centres, radius):
+    """Write 0 into the discs of `image` (H, W) about `centres` (N, 2) x, y; `radius` in pixels."""
+    height, width = image.shape
+    for n in range(centres.shape[0]):
+        x, y = centres[n, 0], centres[n, 1]
+        for v in range(max(y - radius, 0), min(y + radius + 1, height)):
+            half = int(math.sqrt(radius * radius - (v - y) * (v - y)))
+            for u in range(max(x - half, 0), min(x + half + 1, width)):
+                image[v, u] = 0.0

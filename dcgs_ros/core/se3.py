@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from .kernels.jit import kernel
+
 _SMALL = 1e-4  # rad: below, the series of sin(x)/x and friends are exact to double precision
 _SERIES = 1e-2  # rad: below, the series of V^-1's last coefficient loses less than the formula
 _NEAR_PI = math.pi - 1e-3
@@ -25,7 +27,8 @@ def hat(v: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _sine_ratios(angle: float) -> tuple[float, float, float]:
+@kernel
+def _sine_ratios(angle):
     """Return sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3."""
     if angle < _SMALL:
         x2 = angle * angle
@@ -43,45 +46,83 @@ def so3_left_jacobian(phi: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def exp(xi: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the transform (4, 4) of a twist (6,)."""
-    rho, phi = xi[:3], xi[3:]
-    a, b, c = _sine_ratios(math.sqrt(float(phi @ phi)))
-    k = hat(phi)
-    k2 = k @ k
-    T = np.eye(4)
-    T[:3, :3] += a * k + b * k2
-    T[:3, 3] = rho + b * (k @ rho) + c * (k2 @ rho)
+    T = np.empty((4, 4))
+    _exp(np.ascontiguousarray(xi, np.float64), T)
     return T
 
 
 def log(T: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the twist (6,) of a transform (4, 4), rotation angle in [0, pi]."""
-    R = T[:3, :3]
-    axis_sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = math.sqrt(float(axis_sine @ axis_sine)), 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1)
-    angle = math.atan2(sine, cosine)
-    if angle > _NEAR_PI:  # the sine is too small to give the axis
-        phi = Rotation.from_matrix(R).as_rotvec()
-        angle = math.sqrt(float(phi @ phi))
-    else:
-        phi = axis_sine / _sine_ratios(angle)[0]
-    a, b, _ = _sine_ratios(angle)
-    # V^-1 = I - K/2 + e K^2 with e = (1 - a / (2 b)) / x^2
-    e = 1.0 / 12.0 + angle**2 / 720.0 if angle < _SERIES else (1.0 - 0.5 * a / b) / angle**2
-    t = T[:3, 3]
-    k = hat(phi)
-    kt = k @ t
-    return np.concatenate([t - 0.5 * kt + e * (k @ kt), phi])
+    T = np.ascontiguousarray(T, np.float64)
+    xi = np.empty(6)
+    if _log_rotation(T, xi) > _NEAR_PI:  # the sine is too small to give the axis
+        xi[3:] = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    _log_translation(T, xi)
+    return xi
 
 
 def inverse(T: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the inverse of one transform (4, 4) or of a stack (..., 4, 4)."""
-    T = np.asarray(T, dtype=np.float64)
-    out = np.zeros_like(T)
-    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
-    out[..., :3, :3] = R_t
-    out[..., :3, 3] = -np.einsum('...ij,...j->...i', R_t, T[..., :3, 3])
-    out[..., 3, 3] = 1.0
+    T = np.ascontiguousarray(T, np.float64)
+    out = np.empty_like(T)
+    _invert(T.reshape(-1, 4, 4), out.reshape(-1, 4, 4))
     return out
+
+
+@kernel
+def _exp(xi, T):
+    """Write the transform of the twist `xi` (6,) into `T` (4, 4)."""
+    x, y, z = xi[3], xi[4], xi[5]
+    a, b, c = _sine_ratios(math.sqrt(x * x + y * y + z * z))
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    for i in range(3):
+        T[i, 3] = xi[i]
+        T[3, i] = 0.0
+        for j in range(3):
+            square = k[i, 0] * k[0, j] + k[i, 1] * k[1, j] + k[i, 2] * k[2, j]
+            T[i, j] = (1.0 if i == j else 0.0) + a * k[i, j] + b * square
+            T[i, 3] += (b * k[i, j] + c * square) * xi[j]
+    T[3, 3] = 1.0
+
+
+@kernel
+def _log_rotation(T, xi):
+    """Write the rotation vector of `T` (4, 4) into `xi` (6,), and return its angle."""
+    x, y, z = T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    angle = math.atan2(sine, 0.5 * (T[0, 0] + T[1, 1] + T[2, 2] - 1.0))
+    if angle <= _NEAR_PI:
+        s = 0.5 / _sine_ratios(angle)[0]
+        xi[3], xi[4], xi[5] = s * x, s * y, s * z
+    return angle
+
+
+@kernel
+def _log_translation(T, xi):
+    """Write V^-1 t of `T` (4, 4) into the first half of `xi` (6,), whose second half is phi."""
+    x, y, z = xi[3], xi[4], xi[5]
+    angle = math.sqrt(x * x + y * y + z * z)
+    a, b, _ = _sine_ratios(angle)
+    # V^-1 = I - K/2 + e K^2 with e = (1 - a / (2 b)) / x^2
+    e = 1.0 / 12.0 + angle**2 / 720.0 if angle < _SERIES else (1.0 - 0.5 * a / b) / angle**2
+    p, q, r = T[0, 3], T[1, 3], T[2, 3]
+    kp, kq, kr = y * r - z * q, z * p - x * r, x * q - y * p
+    xi[0] = p - 0.5 * kp + e * (y * kr - z * kq)
+    xi[1] = q - 0.5 * kq + e * (z * kp - x * kr)
+    xi[2] = r - 0.5 * kr + e * (x * kq - y * kp)
+
+
+@kernel
+def _invert(T, out):
+    """Write the inverses of the transforms `T` (N, 4, 4) into `out` (N, 4, 4)."""
+    for n in range(T.shape[0]):
+        for i in range(3):
+            out[n, i, 3] = 0.0
+            out[n, 3, i] = 0.0
+            for j in range(3):
+                out[n, i, j] = T[n, j, i]
+                out[n, i, 3] -= T[n, j, i] * T[n, j, 3]
+        out[n, 3, 3] = 1.0
 
 
 def transform(T: NDArray[np.float64], points: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..config.stages import LandmarkConfig
+from ..kernels.jit import kernel
 
 # OpenCV's minimal eigenvalue of a 3x3 block where the weakest gradient is 1 grey level per pixel:
 # its Sobel operator has gain 8 and is divided by 4 * 3 * 255.
@@ -36,13 +39,12 @@ def corners(
     half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     strength = cv2.cornerMinEigenVal(half, 3)
     weakest = config.min_gradient_sigmas * noise(half)
-    reach = config.min_distance_px / 2.0
-    for x, y in np.round(taken / 2.0).astype(int):
-        cv2.circle(strength, (int(x), int(y)), round(reach), 0.0, -1)
-    around = np.ones((2 * round(reach) + 1,) * 2, np.uint8)
+    reach = round(config.min_distance_px / 2.0)
+    _clear(strength, np.round(taken / 2.0).astype(np.int64), reach)
+    around = np.ones((2 * reach + 1,) * 2, np.uint8)
     strength[:2] = strength[-2:] = strength[:, :2] = strength[:, -2:] = 0.0
     peaks = strength >= np.maximum(cv2.dilate(strength, around), weakest**2 * _EIGENVALUE)
-    y, x = np.nonzero(peaks)
+    y, x = np.divmod(np.flatnonzero(peaks), half.shape[1])
     order = _by_cell(strength[y, x], y * _GRID[0] // half.shape[0], x * _GRID[1] // half.shape[1])
     order = order[:wanted]
     return np.column_stack([x[order], y[order]]).astype(np.float32) * 2.0 + 0.5
@@ -53,8 +55,9 @@ def noise(grey: NDArray[np.uint8]) -> float:
 
     It is the median of the Laplacian of a Laplacian, which little of a scene's structure survives.
     """
-    response = cv2.filter2D(grey, cv2.CV_32F, _LAPLACIAN)
-    return max(1.4826 * float(np.median(np.abs(response))) / 6.0, _LEAST_NOISE)
+    response = np.abs(cv2.filter2D(grey, cv2.CV_16S, _LAPLACIAN)).ravel()
+    middle = len(response) // 2
+    return max(1.4826 * float(np.partition(response, middle)[middle]) / 6.0, _LEAST_NOISE)
 
 
 def spread(pixels: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -73,3 +76,15 @@ def _by_cell(
     first = np.searchsorted(cell[order], cell[order])  # where each one's cell begins
     rank = np.arange(len(order)) - first
     return order[np.lexsort((-strength[order], rank))]
+
+
+@kernel
+def _clear(image, centres, radius):
+    """Write 0 into the discs of `image` (H, W) about `centres` (N, 2) x, y; `radius` in pixels."""
+    height, width = image.shape
+    for n in range(centres.shape[0]):
+        x, y = centres[n, 0], centres[n, 1]
+        for v in range(max(y - radius, 0), min(y + radius + 1, height)):
+            half = int(math.sqrt(radius * radius - (v - y) * (v - y)))
+            for u in range(max(x - half, 0), min(x + half + 1, width)):
+                image[v, u] = 0.0

@@ -152,14 +152,27 @@ class PointFactors:
     weight: float = 1.0
     Q: NDArray[np.float64] | None = None  # (6, 6) covariance of a motion common to all points
 
+    def evaluated(
+        self, T_world_cam: NDArray[np.float64]
+    ) -> tuple[NormalEquations, NDArray[np.float64]]:
+        """Return `normal_equations` and `chi2`, at the cost of one of them."""
+        sums = np.empty((7, 7))
+        chi2 = np.empty(len(self.points))
+        t = self.targets
+        _accumulate(
+            self.points, self.covariances, t.points, t.axes, t.perp, t.along, T_world_cam,
+            self.huber, sums, chi2,
+        )  # fmt: skip
+        equations = _weighted(sums, self.weight)
+        return equations if self.Q is None else equations.limited(self.Q), chi2
+
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
         """Return the sums of J^T Omega^-1 J and J^T Omega^-1 e, J = [I, -[a]x], Huber weighted."""
-        equations = self._summed(T_world_cam)[0]
-        return equations if self.Q is None else equations.limited(self.Q)
+        return self.evaluated(T_world_cam)[0]
 
     def chi2(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (N,) squared Mahalanobis distances e^T Omega^-1 e; NaN without a match."""
-        return self._summed(T_world_cam)[1]
+        return self.evaluated(T_world_cam)[1]
 
     def across_rays(self) -> PointFactors:
         """Return factors that constrain only across the rays: what the image alone measured.
@@ -169,16 +182,6 @@ class PointFactors:
         n = len(self.points)
         along = covariances_along_rays(self.points, np.zeros(n), np.ones(n))
         return replace(self, covariances=self.covariances + along)
-
-    def _summed(self, T: NDArray[np.float64]) -> tuple[NormalEquations, NDArray[np.float64]]:
-        sums = np.zeros((7, 7))
-        chi2 = np.empty(len(self.points))
-        t = self.targets
-        _accumulate(
-            self.points, self.covariances, t.points, t.axes, t.perp, t.along, T, self.huber, sums,
-            chi2,
-        )  # fmt: skip
-        return _unpacked(sums, self.weight), chi2
 
     def along_normals(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
         """Return the term of the residuals along the normals n_i alone: point to plane.
@@ -192,42 +195,40 @@ class PointFactors:
             self.points, self.covariances, self.normals, t.points, t.axes, t.perp, t.along,
             T_world_cam, sums,
         )  # fmt: skip
-        return _unpacked(sums, self.weight)
+        return _weighted(sums, self.weight)
 
 
-def _unpacked(sums: NDArray[np.float64], weight: float) -> NormalEquations:
-    """Return the weighted equations of the upper triangle of sums (7, 7)."""
-    upper = weight * np.triu(sums)
-    full = upper + np.triu(upper, 1).T
-    return NormalEquations(full[:6, :6], full[:6, 6], float(full[6, 6]))
+def _weighted(sums: NDArray[np.float64], weight: float) -> NormalEquations:
+    """Return the weighted equations of the sums of [J e]^T Omega^-1 [J e] (7, 7)."""
+    sums = weight * sums
+    return NormalEquations(sums[:6, :6], sums[:6, 6], float(sums[6, 6]))
 
 
 @kernel
 def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total, chi2):
-    """Add the upper triangle of [J e]^T Omega^-1 [J e] to `total` (7, 7); write `chi2` (N,).
+    """Write the sum of [J e]^T Omega^-1 [J e] into `total` (7, 7), and `chi2` (N,).
 
     `points` (N, 3) metres and `covariances` (N, 6) square metres, camera; `targets` (N, 3) metres
     and `axes` (N, 3) unit, world; `perp` and `along` (N,) square metres; `T` (4, 4) T_world_cam;
     `huber` in units of sqrt(chi2). One thread: waking a second one would cost more than it saves.
+    The sums are scalars, which stay in registers.
     """
     r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
     r10, r11, r12 = T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22 = T[2, 0], T[2, 1], T[2, 2]
-    J = np.zeros((3, 7))
-    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
-    M = np.empty((3, 7))
+    t0, t1, t2 = T[0, 3], T[1, 3], T[2, 3]
+    h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = 0.0
+    h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = 0.0
+    g0 = g1 = g2 = g3 = g4 = g5 = cost = 0.0
     for i in range(points.shape[0]):
         if perp[i] < 0.0:
             chi2[i] = np.nan
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        dx, dy, dz = targets[i, 0] - T[0, 3], targets[i, 1] - T[1, 3], targets[i, 2] - T[2, 3]
-        J[0, 4], J[0, 5] = z, -y
-        J[1, 3], J[1, 5] = -z, x
-        J[2, 3], J[2, 4] = y, -x
-        J[0, 6] = e0 = r00 * dx + r10 * dy + r20 * dz - x
-        J[1, 6] = e1 = r01 * dx + r11 * dy + r21 * dz - y
-        J[2, 6] = e2 = r02 * dx + r12 * dy + r22 * dz - z
+        dx, dy, dz = targets[i, 0] - t0, targets[i, 1] - t1, targets[i, 2] - t2
+        e0 = r00 * dx + r10 * dy + r20 * dz - x
+        e1 = r01 * dx + r11 * dy + r21 * dz - y
+        e2 = r02 * dx + r12 * dy + r22 * dz - z
         ux, uy, uz = axes[i, 0], axes[i, 1], axes[i, 2]
         u0 = r00 * ux + r10 * uy + r20 * uz
         u1 = r01 * ux + r11 * uy + r21 * uz
@@ -248,28 +249,52 @@ def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total
         )
         chi2[i] = square
         # Huber's rho(s) = s inside delta^2, 2 delta sqrt(s) - delta^2 beyond; weight rho'(s).
-        w, rest = 1.0, 0.0
+        w, rho = 1.0, square
         if square > huber * huber:
             w = huber / math.sqrt(square)
-            rest = huber * math.sqrt(square) - huber * huber
+            rho = 2.0 * huber * math.sqrt(square) - huber * huber
+        m00, m01, m02, m11, m12, m22 = w * m00, w * m01, w * m02, w * m11, w * m12, w * m22
+        f0 = m00 * e0 + m01 * e1 + m02 * e2
+        f1 = m01 * e0 + m11 * e1 + m12 * e2
+        f2 = m02 * e0 + m12 * e1 + m22 * e2
+        # The columns of -Omega^-1 [a]x.
+        a0, a1, a2 = y * m02 - z * m01, y * m12 - z * m11, y * m22 - z * m12
+        b0, b1, b2 = z * m00 - x * m02, z * m01 - x * m12, z * m02 - x * m22
+        c0, c1, c2 = x * m01 - y * m00, x * m11 - y * m01, x * m12 - y * m02
+        h00, h01, h02, h11, h12, h22 = (
+            h00 + m00, h01 + m01, h02 + m02, h11 + m11, h12 + m12, h22 + m22,
+        )  # fmt: skip
+        h03, h13, h23 = h03 + a0, h13 + a1, h23 + a2
+        h04, h14, h24 = h04 + b0, h14 + b1, h24 + b2
+        h05, h15, h25 = h05 + c0, h15 + c1, h25 + c2
+        h33 += y * a2 - z * a1
+        h34 += y * b2 - z * b1
+        h35 += y * c2 - z * c1
+        h44 += z * b0 - x * b2
+        h45 += z * c0 - x * c2
+        h55 += x * c1 - y * c0
+        g0, g1, g2 = g0 + f0, g1 + f1, g2 + f2
+        g3 += y * f2 - z * f1
+        g4 += z * f0 - x * f2
+        g5 += x * f1 - y * f0
+        cost += rho
+    sums = (
+        (h00, h01, h02, h03, h04, h05, g0),
+        (h01, h11, h12, h13, h14, h15, g1),
+        (h02, h12, h22, h23, h24, h25, g2),
+        (h03, h13, h23, h33, h34, h35, g3),
+        (h04, h14, h24, h34, h44, h45, g4),
+        (h05, h15, h25, h35, h45, h55, g5),
+        (g0, g1, g2, g3, g4, g5, cost),
+    )
+    for a in range(7):
         for b in range(7):
-            j0, j1, j2 = w * J[0, b], w * J[1, b], w * J[2, b]
-            M[0, b] = m00 * j0 + m01 * j1 + m02 * j2
-            M[1, b] = m01 * j0 + m11 * j1 + m12 * j2
-            M[2, b] = m02 * j0 + m12 * j1 + m22 * j2
-        for b in range(7):  # J's first three columns are the identity
-            total[0, b] += M[0, b]
-            total[1, b] += M[1, b]
-            total[2, b] += M[2, b]
-            total[3, b] += y * M[2, b] - z * M[1, b]
-            total[4, b] += z * M[0, b] - x * M[2, b]
-            total[5, b] += x * M[1, b] - y * M[0, b]
-        total[6, 6] += w * square + rest
+            total[a, b] = sums[a][b]
 
 
 @kernel
 def _accumulate_along(points, covariances, normals, targets, axes, perp, along, T, total):
-    """Add the upper triangle of the point-to-plane terms to `total` (7, 7), as `_accumulate`.
+    """Add the point-to-plane terms to `total` (7, 7), as `_accumulate`.
 
     `normals` (N, 3) unit, camera; the other arguments are those of `_accumulate`.
     """
@@ -298,5 +323,5 @@ def _accumulate_along(points, covariances, normals, targets, axes, perp, along, 
             - (a0 * x + a1 * y + a2 * z)
         )
         for a in range(7):
-            for b in range(a, 7):
+            for b in range(7):
                 total[a, b] += row[a] * row[b] / variance

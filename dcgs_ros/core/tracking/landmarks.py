@@ -92,7 +92,7 @@ class Landmarks:
         flow = camera.project(after) - camera.project(before[ahead])
         pixels, found = _klt(previous, grey, alive.pixels, alive.pixels + flow, config)
         aligned, correlation = alive.patches.aligned(
-            grey, pixels, after, T_world_predicted, camera
+            grey, pixels, after, T_world_predicted, camera, config.slip_px
         )
         found &= np.abs(aligned - pixels).max(axis=1) < config.slip_px
         found &= correlation > config.min_correlation

@@ -49,8 +49,11 @@ class Patches:
         points: NDArray[np.floating],  # (L, 3) of the landmarks, metres, camera frame
         T_world_cam: NDArray[np.float64],  # (4, 4)
         camera: PinholeCamera,
+        reach_px: float,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return where in the image they are (L, 2), and their correlation there (L,) in [-1, 1].
+
+        A search ends where it is more than `reach_px` in x or y from where it began.
 
         The patch is warped as the pose says that its surface is seen now (Baker and Matthews 2004,
         inverse compositional, without the mean and scaled to the image's contrast). The
@@ -63,7 +66,7 @@ class Patches:
         )  # (L, 2, 2): columns are the images of the two steps
         found = np.array(pixels, np.float32)
         correlation = np.empty(len(found), np.float32)
-        _align(image, self.grey, np.ascontiguousarray(warps), found, correlation)
+        _align(image, self.grey, np.ascontiguousarray(warps), reach_px, found, correlation)
         return found, correlation
 
 
@@ -113,32 +116,35 @@ def _sampled(image, x, y):
 
 
 @kernel
-def _align(image, patches, warps, pixels, correlation):
+def _align(image, patches, warps, reach, pixels, correlation):
     """Move `pixels` (L, 2) to where `patches` (L, SIDE, SIDE) fit `image` (H, W) best.
 
-    `warps` (L, 2, 2) map steps in the patch to steps in the image. Writes `correlation` (L,).
+    `warps` (L, 2, 2) map steps in the patch to steps in the image; a search ends more than `reach`
+    pixels from its start. Writes `correlation` (L,).
     """
     height, width = image.shape
     half = SIDE // 2
     n = (SIDE - 2) * (SIDE - 2)  # the rim only serves for gradients
-    there = np.empty(n)
+    here, slope_x, slope_y, there = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for i in range(pixels.shape[0]):
         correlation[i] = -1.0
         patch = patches[i]
-        mean = 0.0
+        mean = xx = xy = yy = energy = 0.0
+        k = 0
         for r in range(1, SIDE - 1):
             for c in range(1, SIDE - 1):
-                mean += patch[r, c]
+                here[k] = patch[r, c]
+                slope_x[k] = 0.5 * (patch[r, c + 1] - patch[r, c - 1])
+                slope_y[k] = 0.5 * (patch[r + 1, c] - patch[r - 1, c])
+                mean += here[k]
+                k += 1
         mean /= n
-        xx = xy = yy = energy = 0.0
-        for r in range(1, SIDE - 1):
-            for c in range(1, SIDE - 1):
-                gx = 0.5 * (patch[r, c + 1] - patch[r, c - 1])
-                gy = 0.5 * (patch[r + 1, c] - patch[r - 1, c])
-                xx += gx * gx
-                xy += gx * gy
-                yy += gy * gy
-                energy += (patch[r, c] - mean) ** 2
+        for k in range(n):
+            here[k] -= mean
+            xx += slope_x[k] * slope_x[k]
+            xy += slope_x[k] * slope_y[k]
+            yy += slope_y[k] * slope_y[k]
+            energy += here[k] * here[k]
         determinant = xx * yy - xy * xy
         if not (determinant > 1e-6 * (xx + yy) ** 2 and energy > _FLATTEST):
             continue
@@ -165,29 +171,24 @@ def _align(image, patches, warps, pixels, correlation):
                     k += 1
             average /= n
             both = variance = 0.0
-            k = 0
-            for r in range(1, SIDE - 1):
-                for c in range(1, SIDE - 1):
-                    value = there[k] - average
-                    both += value * (patch[r, c] - mean)
-                    variance += value * value
-                    k += 1
+            for k in range(n):
+                there[k] -= average
+                both += there[k] * here[k]
+                variance += there[k] * there[k]
             correlation[i] = both / math.sqrt(max(variance, 1e-6) * energy)
             if step == _STEPS or not both > 0.0:
                 break
             gain = energy / both  # the image's contrast, brought to the patch's
             gx_sum = gy_sum = 0.0
-            k = 0
-            for r in range(1, SIDE - 1):
-                for c in range(1, SIDE - 1):
-                    error = gain * (there[k] - average) - (patch[r, c] - mean)
-                    gx_sum += 0.5 * (patch[r, c + 1] - patch[r, c - 1]) * error
-                    gy_sum += 0.5 * (patch[r + 1, c] - patch[r - 1, c]) * error
-                    k += 1
+            for k in range(n):
+                error = gain * there[k] - here[k]
+                gx_sum += slope_x[k] * error
+                gy_sum += slope_y[k] * error
             u = (yy * gx_sum - xy * gy_sum) / determinant
             v = (xx * gy_sum - xy * gx_sum) / determinant
             x -= a * u + b * v
             y -= d * u + e * v
-            if u * u + v * v < _SETTLED_PX * _SETTLED_PX:
+            far = abs(x - pixels[i, 0]) > reach or abs(y - pixels[i, 1]) > reach
+            if far or u * u + v * v < _SETTLED_PX * _SETTLED_PX:
                 break
         pixels[i, 0], pixels[i, 1] = x, y

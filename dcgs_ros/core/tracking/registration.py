@@ -96,6 +96,7 @@ class Registration:
     sharp: NormalEquations  # both terms, with that
     inliers: int  # points with a match
     hosts: NDArray[np.int32]  # (inliers,) keyframes of the Gaussians that they match
+    median_chi2: float  # of the depth factors; infinite where none has a match
 
     @property
     def overlap(self) -> float:
@@ -163,13 +164,15 @@ def register(
     T = se3.orthonormalised(T)
     sharp_depth = pairs.along_normals(T)
     sharp = sharp_depth if pairs.Q is None else sharp_depth.limited(pairs.Q)
-    equations = pairs.normal_equations(T)
+    equations, chi2 = pairs.evaluated(T)
     if image is not None:
         image_equations = image.normal_equations(T)
         equations, sharp = equations + image_equations, sharp + image_equations
-    inliers = int(np.count_nonzero(pairs.targets.perp >= 0))
-    hosts = depth.hosts(pairs)
-    return Registration(T, pairs, image, equations, sharp_depth, sharp, inliers, hosts)
+    chi2, hosts = chi2[pairs.targets.perp >= 0], depth.hosts(pairs)
+    median = float(np.median(chi2)) if len(chi2) else np.inf
+    return Registration(
+        T, pairs, image, equations, sharp_depth, sharp, len(chi2), hosts, median
+    )
 
 
 def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:

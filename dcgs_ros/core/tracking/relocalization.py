@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..config.stages import Config
 from .registration import DepthTerm, Registration, register
-from .verification import Usual, median_chi2
+from .verification import Usual
 
 _TRIES = 3  # poses a frame: what real time has room for
 # Shares of what is usual that a frame must reach: of the overlap, of the agreement of the map with
@@ -58,7 +58,7 @@ class Relocalizer:
         if (
             result.overlap >= self._wanted * usual.overlap
             and agreement >= _AGREEMENT * usual.agreement
-            and median_chi2(result) <= _CHI2 * usual.chi2
+            and result.median_chi2 <= _CHI2 * usual.chi2
         ):
             return True
         self._wanted = max(self._wanted - _PATIENCE, _AT_LEAST)

@@ -78,7 +78,7 @@ def registered(depth: PointFactors, image: PointFactors | None = None) -> Regist
         equations = sharp = sharp_depth + image.normal_equations(T_WORLD_CAM)
     n = len(depth.points)
     return Registration(
-        T_WORLD_CAM, depth, image, equations, sharp_depth, sharp, n, np.zeros(n, np.int32)
+        T_WORLD_CAM, depth, image, equations, sharp_depth, sharp, n, np.zeros(n, np.int32), 1.0
     )
 
 

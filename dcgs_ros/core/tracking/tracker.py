@@ -251,6 +251,9 @@ class Tracker:
         config = self.config
         cloud = sample(frame, self.camera, config, config.cloud.stride_px, np.zeros(6))
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
+        motion = self._memory.motion
+        if not motion.is_gap(frame.stamp_ns):
+            guesses = [*guesses, motion.predict(frame.stamp_ns)]
         best = relocalizer.best(depth, config, guesses)
         T = best.T_world_cam
         grey = to_grey(frame.color)
@@ -316,10 +319,11 @@ class Tracker:
         config, frame, T = self.config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
         T_world_depth = T @ registered.T_cam_cam_at_depth
-        agreement = self.gaussians.agreement(
-            T_world_depth, frame.depth_m, self.camera, config.sensor
-        )
-        self._usual = self._usual.with_keyframe(agreement)
+        if last is not None:  # else there is no map yet to agree with
+            agreement = self.gaussians.agreement(
+                T_world_depth, frame.depth_m, self.camera, config.sensor
+            )
+            self._usual = self._usual.with_keyframe(agreement)
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor)
         cloud = candidates(registered, last, self.camera, config)
         ids = spawn(

@@ -289,7 +289,8 @@ class Tracker:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
         if not evidence.doubtful:
             self._unconfirmed = max(self._unconfirmed - 1, 0)
-            self._usual = self._usual.with_frame(found.registration)
+            if found.sees_depth(self.config):
+                self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         if result.image is not None:  # depth and image, each alone, tell the offset between them

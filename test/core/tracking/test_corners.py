@@ -132,7 +132,7 @@ def test_a_textured_quarter_does_not_take_all() -> None:
 
 
 def test_the_best_of_each_cell_come_first() -> None:
-    """Contrast falls from left to right within each cell of 40 pixels; the left ones come first."""
+    """Contrast falls from left to right within each cell of 40 pixels: the left ones."""
     scene = np.full(SHAPE, 100.0)
     for y in range(8, 240, 40):
         for x in range(4, 320, 40):

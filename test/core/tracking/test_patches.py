@@ -35,8 +35,8 @@ def texture(seed: int, size: tuple[int, int] = (240, 320)) -> NDArray[np.uint8]:
 
 def lifted(camera: PinholeCamera, pixels: NDArray[np.floating]) -> NDArray[np.float64]:
     """The points of a facing wall (N, 3)."""
-    rays = np.column_stack([camera.undistort(np.asarray(pixels, np.float32)), np.ones(len(pixels))])
-    return rays.astype(np.float64) * WALL_M
+    rays = camera.undistort(np.asarray(pixels, np.float32)).astype(np.float64)
+    return np.column_stack([rays, np.ones(len(pixels))]) * WALL_M
 
 
 def of(
@@ -62,8 +62,10 @@ def view(
     )
 
 
-def moved(points: NDArray[np.float64], T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
-    return se3.transform(se3.inverse(T_world_cam), points)
+def seen_from(
+    points: NDArray[np.float64], T_world_cam: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    return np.asarray(se3.transform(se3.inverse(T_world_cam), points), np.float64)
 
 
 @pytest.mark.parametrize('shift', [(0.0, 0.0), (0.4, -0.3), (-1.3, 0.8), (1.5, -1.5)])
@@ -105,7 +107,7 @@ def test_a_patch_is_warped_as_the_pose_says(
     """Wherever the world's axes are; a patch that is not warped is not found."""
     image, T = texture(3), se3.exp(np.array(twist, np.float64))
     points = lifted(camera, PLACES)
-    seen = moved(points, T)
+    seen = seen_from(points, T)
     pixels = camera.project(seen).astype(np.float32)
     kept = np.all((pixels > 20) & (pixels < (300, 220)), axis=1)
     patches, start = of(image, camera=camera, T_world_cam=born)[kept], pixels[kept] + 0.5
@@ -136,7 +138,7 @@ def test_what_reaches_out_of_the_image_is_not_aligned() -> None:
         points = lifted(PINHOLE, np.nan_to_num(pixels))
         facing = np.tile(FACING, (len(pixels), 1))
         patches = cut(image, np.nan_to_num(pixels), points, facing, STILL, PINHOLE)
-        at, correlation = patches.aligned(image, pixels, points, STILL, PINHOLE)
+        _, correlation = patches.aligned(image, pixels, points, STILL, PINHOLE)
         assert ((correlation > ALIKE) == expected).all()
         assert expected or (correlation == -1.0).all()
         closer = points * 0.4

@@ -82,9 +82,13 @@ def test_what_is_not_mapped_yet_lowers_the_overlap_but_not_the_agreement() -> No
     [('jump', 'agreement'), ('jump', 'consistent'), ('agreement', 'consistent')],
 )
 def test_two_doubts_contradict_and_one_does_not(first: str, second: str) -> None:
-    doubts = {'jump': 4.0, 'agreement': 0.5, 'consistent': 0.1}
     for names, contradicts in (((first,), False), ((second,), False), ((first, second), True)):
-        found = evidence(overlap=0.6, **{name: doubts[name] for name in names})
+        found = evidence(
+            jump=4.0 if 'jump' in names else 1.0,
+            overlap=0.6,
+            agreement=0.5 if 'agreement' in names else 1.0,
+            consistent=0.1 if 'consistent' in names else 0.7,
+        )
         assert found.contradicts == contradicts and found.doubtful
 
 

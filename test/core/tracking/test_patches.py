@@ -149,10 +149,12 @@ def test_what_reaches_out_of_the_image_is_not_aligned() -> None:
 def test_what_has_no_texture_is_not_aligned() -> None:
     flat = np.full((240, 320), 90, np.uint8)
     edge = flat.copy()
+    speck = flat.copy()
+    speck[118:120, 159:161] += 1  # rounding makes as much
     edge[:, 160:] = 180  # one direction is not held
     edge = cv2.GaussianBlur(edge, (5, 5), 1.0).astype(np.uint8)
     pixels = np.array([[160.0, 120.0]], np.float32)
-    for image in (flat, edge):
+    for image in (flat, speck, edge):
         at, correlation = of(image, pixels).aligned(
             texture(7), pixels, lifted(PINHOLE, pixels), STILL, PINHOLE
         )

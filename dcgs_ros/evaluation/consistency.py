@@ -37,7 +37,12 @@ class Claims:
 
     @classmethod
     def of(cls, results: Sequence[TrackResult]) -> Claims:
-        """Collect the results of a tracker."""
+        """Collect the results of a tracker in the order of their stamps.
+
+        A clock that was set back gives some stamps twice: the first result of a stamp counts.
+        """
+        by_stamp = {result.stamp_ns: result for result in reversed(results)}
+        results = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
         stamps = np.array([result.stamp_ns for result in results], np.int64)
         poses, covariances, world = (
             np.array([getattr(result, name) for result in results], np.float64).reshape(-1, n, n)

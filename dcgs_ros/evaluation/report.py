@@ -154,16 +154,17 @@ def build_report(
     to the last file: the start, the steps after the last frame, writing and scoring too.
     `iterations_per_s` is over the mapper's own time. `rendering` is None until `with_rendering`.
     """
-    claims, last = record.claims(), record.tracked[-1]
-    stamps = claims.poses.stamps_ns
-    states = states_report(stamps, claims.states)
+    last = record.tracked[-1]
+    results = sorted((frame.result for frame in record.tracked), key=lambda r: r.stamp_ns)
+    stamps = np.array([result.stamp_ns for result in results], np.int64)
+    states = states_report(stamps, [result.state for result in results])
     report = {
         'source': record.source,
         'address': record.address,
         'camera': record.camera,
         'ablation': record.ablation,
         'frames': len(record.tracked) + len(record.skipped),
-        'tracked': int(claims.estimated.sum()),
+        'tracked': len(results) - states['lost']['frames'],
         'degenerate': states['degenerate']['frames'],
         'lost': states['lost']['frames'],
         'skipped': len(record.skipped),

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from running import SMALL_CAMERA, SMALL_ROOM, Run, run_into  # type: ignore[import-not-found]
 
-from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.datasets.synthetic.sensors.catalogue import SENSORS
 from dcgs_ros.evaluation import scoring
 
 
@@ -17,7 +18,8 @@ from dcgs_ros.evaluation import scoring
 def small_images() -> Iterator[None]:
     """Let synthetic sources render a sixteenth of the pixels, and leave LPIPS out."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SyntheticSource, 'camera', SMALL_CAMERA)
+        for name, kind in SENSORS.items():
+            patch.setitem(SENSORS, name, replace(kind, camera=SMALL_CAMERA))
         patch.setattr(scoring.Lpips, 'load', lambda: None)
         yield
 

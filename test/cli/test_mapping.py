@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.camera_presets import PRESETS
-from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.datasets.synthetic.sensors.catalogue import SENSORS
 from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.io.map_archive import SavedMap, read_map
 from dcgs_ros.io.ply import read_ply
@@ -146,7 +147,8 @@ def test_two_runs_and_any_number_of_threads_write_the_same_bytes(
 def test_full_images_and_any_number_of_threads_give_the_same_map(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SyntheticSource, 'camera', PRESETS['fr3'].camera)
+    for name, kind in SENSORS.items():
+        monkeypatch.setitem(SENSORS, name, replace(kind, camera=PRESETS['fr3'].camera))
     folders = [
         run_into(tmp_path / str(k), *FULL_ROOM, f'threads={threads}', '--render-every', '0').folder
         for k, threads in enumerate((1, 2, 2))

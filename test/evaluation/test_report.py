@@ -193,6 +193,26 @@ def test_trajectories_hold_the_estimated_poses_and_the_keyframes() -> None:
     assert len(RunRecord('room', 'full').trajectory()) == 0
 
 
+def test_a_clock_that_is_set_back_costs_no_trajectory() -> None:
+    """Poses come in the order of their stamps; of a stamp that came twice the first one counts."""
+    record = RunRecord('room', 'full')
+    clock = (0, 1, 100, 2, 3, 1)  # frame 2 was an hour ahead, before frame 5 the clock was reset
+    for index, ticks in enumerate(clock):
+        frame = tracked(index, keyframe=index % 2 == 1)
+        result = replace(frame.result, stamp_ns=ticks * FRAME_NS)
+        record.tracked.append(replace(frame, result=result))
+    estimate, keyframes = record.trajectory(), record.keyframes()
+    assert (estimate.stamps_ns // FRAME_NS).tolist() == [0, 1, 2, 3, 100]
+    for k, index in enumerate((0, 1, 3, 4, 2)):
+        own = record.tracked[index].result.T_world_cam
+        np.testing.assert_array_equal(estimate.T_world_cam[k], own)
+    assert (keyframes.stamps_ns // FRAME_NS).tolist() == [1, 2]
+    report = report_of(record)
+    assert report['frames'] == report['tracked'] + report['lost'] + report['skipped'] == 6
+    assert report['states']['ok']['frames'] == 6
+    assert report['realtime_factor'] > 0
+
+
 def a_trajectory(frames: int) -> Trajectory:
     record = RunRecord('room', 'full', tracked=[tracked(k) for k in range(frames)])
     return record.trajectory()

@@ -27,18 +27,22 @@ def corners(
     taken: NDArray[np.float32],  # (L, 2)
     wanted: int,
     config: LandmarkConfig,
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return Shi-Tomasi corners (N, 2) away from those `taken`, the best of each cell first.
+
+    And (N,) how strong they are: the gradient per pixel in the weakest direction, in standard
+    deviations of the noise.
 
     They are found at half resolution. A corner is one where even the weakest gradient exceeds what
     the image's noise would make of it: in dim light low contrast is all there is, and on a wall
     without texture the strongest corners are noise.
     """
     if wanted <= 0:
-        return np.empty((0, 2), np.float32)
+        return np.empty((0, 2), np.float32), np.empty(0, np.float32)
     half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     strength = cv2.cornerMinEigenVal(half, 3)
-    weakest = config.min_gradient_sigmas * noise(half)
+    sigma = noise(half)
+    weakest = config.min_gradient_sigmas * sigma
     reach = round(config.min_distance_px / 2.0)
     _clear(strength, np.round(taken / 2.0).astype(np.int64), reach)
     around = np.ones((2 * reach + 1,) * 2, np.uint8)
@@ -47,7 +51,9 @@ def corners(
     y, x = np.divmod(np.flatnonzero(peaks), half.shape[1])
     order = _by_cell(strength[y, x], y * _GRID[0] // half.shape[0], x * _GRID[1] // half.shape[1])
     order = order[:wanted]
-    return np.column_stack([x[order], y[order]]).astype(np.float32) * 2.0 + 0.5
+    gradients = np.sqrt(strength[y[order], x[order]] / _EIGENVALUE) / sigma
+    pixels = np.column_stack([x[order], y[order]]).astype(np.float32) * 2.0 + 0.5
+    return pixels, gradients.astype(np.float32)
 
 
 def noise(grey: NDArray[np.uint8]) -> float:

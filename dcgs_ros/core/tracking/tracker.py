@@ -251,6 +251,9 @@ class Tracker:
         config = self.config
         cloud = sample(frame, self.camera, config, config.cloud.stride_px, np.zeros(6))
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
+        motion = self._memory.motion
+        if not motion.is_gap(frame.stamp_ns):
+            guesses = [*guesses, motion.predict(frame.stamp_ns)]
         best = relocalizer.best(depth, config, guesses)
         T = best.T_world_cam
         grey = to_grey(frame.color)
@@ -286,7 +289,8 @@ class Tracker:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
         if not evidence.doubtful:
             self._unconfirmed = max(self._unconfirmed - 1, 0)
-            self._usual = self._usual.with_frame(found.registration)
+            if found.sees_depth(self.config):
+                self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         if result.image is not None:  # depth and image, each alone, tell the offset between them
@@ -316,10 +320,11 @@ class Tracker:
         config, frame, T = self.config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
         T_world_depth = T @ registered.T_cam_cam_at_depth
-        agreement = self.gaussians.agreement(
-            T_world_depth, frame.depth_m, self.camera, config.sensor
-        )
-        self._usual = self._usual.with_keyframe(agreement)
+        if last is not None:  # else there is no map yet to agree with
+            agreement = self.gaussians.agreement(
+                T_world_depth, frame.depth_m, self.camera, config.sensor
+            )
+            self._usual = self._usual.with_keyframe(agreement)
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor)
         cloud = candidates(registered, last, self.camera, config)
         ids = spawn(

@@ -34,16 +34,20 @@ _SETTLING = 0.1  # share by which a frame changes what is usual
 class Usual:
     """How well frames fit the map that were tracked well: an average over a third of a second."""
 
-    overlap: float = 0.9
+    overlap: float = 0.87
     chi2: float = 1.0  # median of the depth factors
     agreement: float = 1.0  # of the map with keyframes
+    frames: int = 0  # that the average is over; what it begins with counts as none
 
     def with_frame(self, found: Registration) -> Usual:
         """Return the average with one more frame."""
+        frames = self.frames + 1
+        share = max(_SETTLING, 1.0 / frames)
         return replace(
             self,
-            overlap=self.overlap + _SETTLING * (found.overlap - self.overlap),
-            chi2=self.chi2 + _SETTLING * (found.median_chi2 - self.chi2),
+            overlap=self.overlap + share * (found.overlap - self.overlap),
+            chi2=self.chi2 + share * (found.median_chi2 - self.chi2),
+            frames=frames,
         )
 
     def with_keyframe(self, agreement: float) -> Usual:

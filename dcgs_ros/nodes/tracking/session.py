@@ -19,7 +19,7 @@ from ...core.config.stages import Config
 from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
 from ...core.keyframe import MapUpdate, PosedFrame
-from ...core.tracking.result import TrackResult
+from ...core.tracking.result import TrackingState, TrackResult
 from ...core.tracking.selector import KeyframeSelector
 from ...core.tracking.tracker import Tracker
 from ..messages.ids import EPOCHS
@@ -27,8 +27,7 @@ from ..messages.packet import KeyframePacket
 from .health import numbers
 from .map_mirror import Resumable
 
-_GAP_NS = 500_000_000  # the motion over a longer one is unknown
-_REWOUND_NS = 1_000_000_000  # a stamp so far back is of another clock; less is disorder
+_LOOKING = 'looking for the camera in the map'
 
 
 def new_epoch() -> int:
@@ -54,7 +53,8 @@ class TrackingSession:
         self.T_world_first, self._warn = T_world_first, warn
         self._selector = KeyframeSelector(config.mapping.view_interval)
         self._resumable: Resumable | None = None
-        self._stamp_ns = 0
+        self._stamp_ns: int | None = None  # of the last frame
+        self._held = False  # whether the camera's place was known then
         self._keyframe_stamps: set[int] = set()
 
     def resume(self, resumable: Resumable) -> None:
@@ -64,8 +64,8 @@ class TrackingSession:
 
     def reset(self) -> None:
         """Begin a new map, at the place and with the camera of the next frame."""
-        self.tracker, self._resumable = None, None
-        self.epoch, self._stamp_ns = new_epoch(), 0
+        self.tracker, self._resumable, self.epoch = None, None, new_epoch()
+        self._stamp_ns, self._held = None, False
 
     def reconfigure(self, config: Config) -> None:
         """Apply settings that may change at run time."""
@@ -78,13 +78,12 @@ class TrackingSession:
         """Track a frame; return None where it is refused, with a warning."""
         start = time.perf_counter()
         tracker = self._tracker_of(camera)
-        self._interrupt_after_gap(frame.stamp_ns, tracker)
         try:
             result = tracker.track(frame)
         except FrameError as error:
             self.refuse(error)
             return None
-        self._stamp_ns = frame.stamp_ns
+        self._warn_of_loss(result)
         self.counts[result.state.value] += 1
         self.result, self.ms = result, 1e3 * (time.perf_counter() - start)
         return result
@@ -95,16 +94,18 @@ class TrackingSession:
         self.counts['refused'] += 1
         self._warn(f'frame refused: {error}')
 
-    def _interrupt_after_gap(self, stamp_ns: int, tracker: Tracker) -> None:
-        """Interrupt the tracker where the motion since the last frame is unknown."""
-        if stamp_ns < self._stamp_ns - _REWOUND_NS:
-            back_s = (self._stamp_ns - stamp_ns) * 1e-9
-            self._warn(f'stamps went back by {back_s:.1f} s: looking for the camera in the map')
-            tracker.interrupt()
-        elif self._stamp_ns and stamp_ns > self._stamp_ns + _GAP_NS:
-            gap_s = (stamp_ns - self._stamp_ns) * 1e-9
-            self._warn(f'no frame for {gap_s:.1f} s: looking for the camera in the map')
-            tracker.interrupt()
+    def _warn_of_loss(self, result: TrackResult) -> None:
+        """Warn where the tracker took a stamp for another clock's, or begins to be lost."""
+        last_ns = result.stamp_ns if self._stamp_ns is None else self._stamp_ns
+        passed_s = (result.stamp_ns - last_ns) * 1e-9
+        lost = self.searching or result.state is TrackingState.RELOCALISED
+        if passed_s < 0.0:
+            self._warn(f'stamps went back by {-passed_s:.1f} s: {_LOOKING}')
+        elif lost and self._held:
+            self._warn(f'lost, {passed_s:.1f} s after the last frame: {_LOOKING}')
+        self._stamp_ns = result.stamp_ns
+        if lost or result.state is not TrackingState.LOST:  # a repeated frame tells nothing
+            self._held = not lost
 
     def _tracker_of(self, camera: PinholeCamera) -> Tracker:
         """Return the tracker; a new one for the first camera, or for another at the last pose."""

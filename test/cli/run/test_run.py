@@ -262,8 +262,16 @@ def test_truth_of_another_time_leaves_the_run_without_ate(
     assert (done.folder / 'trajectory.png').exists()
 
 
+def corner(camera: PinholeCamera) -> NDArray[np.float32]:
+    """Return the depth (H, W) of three walls that meet 0.8 m before the camera."""
+    angles = np.arange(3) * 2.0 * np.pi / 3.0
+    normals = np.sqrt([[2.0, 2.0, 1.0]]) * np.stack([np.cos(angles), np.sin(angles), [1.0] * 3], 1)
+    ahead = camera.undistortion_map @ normals[:, :2].T + normals[:, 2]
+    return (0.8 / ahead.max(axis=2)).astype(np.float32)
+
+
 class MadeUp:
-    """Frames of a wall, with other items or actions at given indices; and the truth."""
+    """Frames of a room's corner, with other items or actions at given indices; and the truth."""
 
     name = 'made up'
     camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -278,11 +286,11 @@ class MadeUp:
         return self._count
 
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
-        depth_m = np.full((48, 64), 1.5, np.float32)
+        depth_m = corner(self.camera)
         for k in range(self._count):
             other = self._at[k]() if k in self._at else None
             stamp_ns = 10**9 + k * 33_000_000
-            image = np.full((48, 64, 3), 90, np.uint8)
+            image = np.full((48, 64, 3), 90 + k % 3, np.uint8)  # equal frames are one, repeated
             frame = RgbdFrame(stamp_ns, stamp_ns, image, depth_m)
             if isinstance(other, np.ndarray):
                 frame, other = replace(frame, depth_m=other), None
@@ -326,7 +334,8 @@ def test_a_lost_frame_is_not_tracked(made_up: Callable[..., Run]) -> None:
         row['stamp'] for row in rows if row['state'] != 'lost'
     ]
     assert 'lost 6 (longest 0.20 s)' in done.out
-    assert 'relocalised' not in done.out  # no frame was
+    assert 'relocalised 5 (longest 0.17 s)' in done.out
+    assert 'degenerate' not in done.out  # no frame was
     assert '90.0% of the frames with truth' in done.out
 
 

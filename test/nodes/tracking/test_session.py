@@ -110,11 +110,15 @@ def assert_true(
     results: Sequence[TrackResult | None],
     frames: Sequence[RgbdFrame],
     T_world_first: NDArray[np.float64],
+    found: int = 0,
 ) -> None:
-    """Compare with the true motion since the first frame."""
+    """Compare with the true motion since the first frame; the first `found` are relocalised."""
     start = se3.inverse(SOURCE.pose(frames_of(FULL)[0].stamp_ns))
+    expected_states = [TrackingState.RELOCALISED] * found
+    expected_states += [TrackingState.OK] * (len(results) - found)
+    assert states(results) == expected_states
     for result, frame in zip(results, frames, strict=True):
-        assert result is not None and result.state is TrackingState.OK
+        assert result is not None
         expected = T_world_first @ start @ SOURCE.pose(frame.stamp_ns)
         xi = se3.log(se3.inverse(expected) @ result.T_world_cam)
         assert np.linalg.norm(xi[:3]) < NEAR_M and np.linalg.norm(xi[3:]) < NEAR_RAD
@@ -193,15 +197,39 @@ def test_a_clock_that_jumps_back_costs_neither_map_nor_place(back_s: float) -> N
     epoch, size = feeder.session.epoch, len(feeder.packets)
     again = feeder.feed(frames[6:], by_ns=-int(back_s * SECOND))
     assert_true(first, frames[:6], T_BASE_CAM)
-    assert_true(again, frames[6:], T_BASE_CAM)
+    assert_true(again, frames[6:], T_BASE_CAM, found=5)
     assert feeder.session.epoch == epoch and len(feeder.packets) > size
     assert len(feeder.warnings) == 1 and 'went back' in feeder.warnings[0]
     feeder.assert_keyframes_are_whole()
 
 
+def test_a_gap_is_named_once_and_costs_neither_map_nor_place() -> None:
+    """The camera stood still meanwhile."""
+    feeder, frames = Feeder(), frames_of(HALF)
+    feeder.feed(frames[:6])
+    epoch = feeder.session.epoch
+    again = feeder.feed(frames[6:], by_ns=2 * SECOND)
+    assert_true(again, frames[6:], T_BASE_CAM, found=5)
+    assert feeder.session.epoch == epoch
+    assert len(feeder.warnings) == 1 and '2.0 s after' in feeder.warnings[0]
+
+
+def test_a_covered_lens_is_named_once_and_a_repeated_frame_is_not() -> None:
+    feeder, frames = Feeder(), frames_of(HALF)
+    feeder.feed(frames[:4])
+    repeated = [shifted(frames[3], 20_000_000), frames[4]]
+    assert states(feeder.feed(repeated)) == [TrackingState.LOST, TrackingState.OK]
+    assert not feeder.warnings
+    covered = [replace(f, depth_m=np.full_like(f.depth_m, 0.35) + k * 1e-3)
+               for k, f in enumerate(frames[5:8])]  # fmt: skip
+    assert states(feeder.feed(covered)) == [TrackingState.LOST] * 3
+    assert states(feeder.feed(frames[8:10])) == [TrackingState.RELOCALISED] * 2
+    assert len(feeder.warnings) == 1 and 'lost, 0.0 s' in feeder.warnings[0]
+
+
 def test_a_recording_that_is_played_again_gives_its_keyframes_other_stamps() -> None:
     """With equal stamps the mapper would take new keyframes for repeated ones."""
-    feeder = Feeder()
+    feeder = Feeder(override(CONFIG, {'mapping.view_interval': 1}))
     frames = [shifted(frame, k * SECOND // 5) for k, frame in enumerate(frames_of(HALF))]
     for _ in range(3):
         feeder.feed(frames)
@@ -326,7 +354,7 @@ def test_a_tracker_that_starts_again_goes_on_in_the_same_map() -> None:
     found, after = resumable_of(before, stamps), Feeder(EAGER)
     after.session.resume(found)
     results = after.feed(frames[7:])
-    assert_true(results, frames[7:], T_BASE_CAM)
+    assert_true(results, frames[7:], T_BASE_CAM, found=5)
     assert after.session.epoch == before.session.epoch
     highest = max(id for _, id in before.ids)
     assert after.ids and min(id for _, id in after.ids) > highest

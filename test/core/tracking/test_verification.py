@@ -1,0 +1,277 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What contradicts an estimate, what makes it doubtful, and what neither does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dcgs_ros.core import se3
+from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
+from dcgs_ros.core.tracking.tracker import Tracker
+from dcgs_ros.core.tracking.verification import (
+    Evidence,
+    Usual,
+    is_repetition,
+    median_chi2,
+    weigh,
+)
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
+
+SEEN = 5  # frames that were tracked before the one that is weighed
+SOURCE = SyntheticSource.from_address('synthetic:room?frames=8&sensor=kinect')
+FINE = Evidence(1.0, 1.0, 1.0, 1.0, 1.0, 100)
+FEW, MANY = 10, 100  # landmarks
+
+
+def evidence(
+    jump: float = 1.0,
+    overlap: float = 1.0,
+    agreement: float = 1.0,
+    chi2: float = 1.0,
+    consistent: float = 0.7,
+    landmarks: int = FEW,
+) -> Evidence:
+    return Evidence(jump, overlap, agreement, chi2, consistent, landmarks)
+
+
+# What is made of the evidence.
+
+
+def test_an_ordinary_frame_is_believed() -> None:
+    assert not FINE.contradicts and not FINE.doubtful and not FINE.misfits
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'doubtful', 'fine'),
+    [
+        (evidence(jump=6.5), evidence(jump=4.0), evidence(jump=2.5)),
+        (evidence(chi2=3.5), evidence(chi2=2.0), evidence(chi2=1.5)),
+    ],
+    ids=['jump', 'chi2'],
+)
+def test_a_jump_or_a_rise_of_the_residuals_suffices(
+    wrong: Evidence, doubtful: Evidence, fine: Evidence
+) -> None:
+    """However many landmarks agree."""
+    for landmarks, consistent in ((FEW, 0.7), (MANY, 1.0)):
+        pairs = [
+            replace(e, landmarks=landmarks, consistent=consistent) for e in (wrong, doubtful, fine)
+        ]
+        assert [e.contradicts for e in pairs] == [True, False, False]
+        assert [e.doubtful for e in pairs] == [True, True, False]
+
+
+def test_what_is_not_mapped_yet_lowers_the_overlap_but_not_the_agreement() -> None:
+    turned, elsewhere = evidence(overlap=0.3), evidence(overlap=0.3, agreement=0.5)
+    looked_through = evidence(agreement=0.5)  # at an overlap as before: something moved aside
+    assert [e.misfits for e in (turned, elsewhere, looked_through)] == [False, True, False]
+    assert [e.doubtful for e in (turned, elsewhere, looked_through)] == [False, True, False]
+    assert not any(e.contradicts for e in (turned, elsewhere, looked_through))
+
+
+@pytest.mark.parametrize(
+    ('first', 'second'),
+    [('jump', 'agreement'), ('jump', 'consistent'), ('agreement', 'consistent')],
+)
+def test_two_doubts_contradict_and_one_does_not(first: str, second: str) -> None:
+    for names, contradicts in (((first,), False), ((second,), False), ((first, second), True)):
+        found = evidence(
+            jump=4.0 if 'jump' in names else 1.0,
+            overlap=0.6,
+            agreement=0.5 if 'agreement' in names else 1.0,
+            consistent=0.1 if 'consistent' in names else 0.7,
+        )
+        assert found.contradicts == contradicts and found.doubtful
+
+
+def test_landmarks_alone_do_not_contradict() -> None:
+    """Things move and turn before a camera; but nothing is mapped by such a frame."""
+    for consistent, doubtful in ((0.0, True), (0.5, True), (0.7, False)):
+        found = evidence(consistent=consistent, landmarks=MANY)
+        assert not found.contradicts and found.doubtful == doubtful
+
+
+def test_many_landmarks_that_agree_outweigh_a_doubt() -> None:
+    two = evidence(jump=4.0, overlap=0.6, agreement=0.5, consistent=0.9)
+    assert replace(two, landmarks=FEW).contradicts
+    assert not replace(two, landmarks=MANY).contradicts
+    assert replace(two, landmarks=MANY, consistent=0.7).contradicts
+    assert replace(two, landmarks=MANY).doubtful
+
+
+# What the evidence is, of a frame that was tracked in the room.
+
+
+@cache
+def frames() -> tuple[RgbdFrame, ...]:
+    return tuple(SOURCE)
+
+
+@cache
+def tracker() -> Tracker:
+    """Return a tracker that has seen the first frames; no test lets it see another."""
+    made = Tracker(SOURCE.camera, replace(Config(), sensor=SOURCE.sensor))
+    for frame in frames()[:SEEN]:
+        made.track(frame)
+    return made
+
+
+@cache
+def found() -> Estimate:
+    made = tracker()
+    return estimate(frames()[SEEN], made._memory, made.gaussians, made.camera, made.config)
+
+
+def weighed(
+    estimated: Estimate | None = None, memory: Memory | None = None, usual: Usual | None = None
+) -> Evidence:
+    made = tracker()
+    return weigh(
+        estimated or found(), memory or made._memory, usual or made._usual, made.gaussians,
+        made.camera, made.config,
+    )  # fmt: skip
+
+
+def at(T_world_cam: NDArray[np.float64]) -> Estimate:
+    """Return the estimate at another pose."""
+    registered = replace(found().registered, T_world_cam=T_world_cam)
+    return replace(found(), registered=registered)
+
+
+def test_a_good_estimate_is_believed() -> None:
+    seen = weighed()
+    assert not seen.contradicts and not seen.doubtful
+    assert seen.overlap_ratio == pytest.approx(1.0, abs=0.15)
+    assert seen.chi2_ratio == pytest.approx(1.0, abs=0.3)
+    assert seen.consistent > 0.9 and seen.landmarks == len(found().landmarks)
+
+
+@pytest.mark.parametrize('sigmas', [0.0, 2.0, 7.0])
+@pytest.mark.parametrize('axis', range(6))
+def test_a_jump_is_counted_in_sigmas_of_the_prediction(sigmas: float, axis: int) -> None:
+    prior = tracker()._memory.motion.prior(frames()[SEEN].stamp_ns)
+    xi = np.zeros(6)
+    xi[axis] = sigmas * (prior.sigma_m if axis < 3 else prior.sigma_rad)
+    jumped = weighed(at(prior.T_world_cam @ se3.exp(xi)))
+    assert jumped.jump_sigmas == pytest.approx(sigmas, abs=1e-6)
+
+
+def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:
+    usual, memory = tracker()._usual, tracker()._memory
+    half = weighed(
+        memory=replace(memory, overlap=2.0 * memory.overlap),
+        usual=replace(usual, chi2=0.5 * usual.chi2),
+    )
+    assert half.overlap_ratio == pytest.approx(0.5 * weighed().overlap_ratio)
+    assert half.chi2_ratio == pytest.approx(2.0 * weighed().chi2_ratio)
+    assert weighed().chi2_ratio == pytest.approx(median_chi2(found().registration) / usual.chi2)
+
+
+def test_the_agreement_is_asked_for_only_where_the_overlap_falls() -> None:
+    """Half a metre farther back the frame looks through what the map has."""
+    memory = tracker()._memory
+    fallen = replace(memory, overlap=1.5)
+    there = found().registered.T_world_cam
+    away = there @ se3.exp(np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0]))
+    assert weighed(at(away)).agreement_ratio == 1.0
+    assert weighed(memory=fallen).agreement_ratio > 0.9
+    wrong = weighed(at(away), memory=fallen)
+    assert wrong.agreement_ratio < 0.6 and wrong.misfits
+    rough = replace(tracker()._usual, agreement=0.5 * tracker()._usual.agreement)
+    assert weighed(at(away), fallen, rough).agreement_ratio == pytest.approx(
+        2.0 * wrong.agreement_ratio
+    )
+
+
+@pytest.mark.parametrize('share', [0.0, 0.3, 1.0])
+def test_the_share_of_consistent_landmarks_is_counted(share: float) -> None:
+    registration = found().registration
+    image = registration.image
+    assert image is not None
+    shift = np.zeros((len(image.points), 3), np.float32)
+    moved = np.random.default_rng(0).random(len(shift)) < share
+    shift[moved] = [0.0, 0.3, 0.0]
+    targets = replace(image.targets, points=image.targets.points + shift)
+    off = replace(registration, image=replace(image, targets=targets))
+    assert weighed(replace(found(), registration=off)).consistent == pytest.approx(
+        1.0 - np.mean(moved), abs=0.05
+    )
+
+
+def test_without_depth_only_the_motion_and_the_landmarks_speak() -> None:
+    """Nor is what is usual learnt from such a frame."""
+    registration = found().registration
+    keep = np.zeros(len(registration.depth.points), bool)
+    depth = replace(
+        registration.depth, points=registration.depth.points[keep],
+        covariances=registration.depth.covariances[keep],
+        targets=registration.depth.targets[keep],
+    )  # fmt: skip
+    blind = replace(found(), registration=replace(registration, depth=depth, inliers=0))
+    seen = weighed(blind)
+    assert (seen.overlap_ratio, seen.agreement_ratio, seen.chi2_ratio) == (1.0, 1.0, 1.0)
+    assert median_chi2(blind.registration) == np.inf
+    images = replace(blind, registration=replace(blind.registration, image=None))
+    assert weighed(images).consistent == 1.0
+
+
+def test_what_is_usual_settles_on_what_is_seen() -> None:
+    """The first frame counts whole, later ones for what an average over ten of them gives."""
+    registration = found().registration
+    usual = Usual().with_frame(registration)
+    assert usual.overlap == pytest.approx(registration.overlap)
+    assert usual.chi2 == pytest.approx(median_chi2(registration))
+    fewer = replace(registration, inliers=registration.inliers // 2)
+    for k in range(1, 60):
+        usual = usual.with_frame(fewer)
+        if k == 1:
+            between = 0.5 * (registration.overlap + fewer.overlap)
+            assert usual.overlap == pytest.approx(between)
+    assert usual.overlap == pytest.approx(fewer.overlap, rel=0.01)
+    before = usual.overlap
+    outlier = usual.with_frame(registration)
+    assert outlier.overlap - before == pytest.approx(0.1 * (registration.overlap - before))
+
+
+def test_the_usual_agreement_is_that_of_the_last_keyframes() -> None:
+    usual = Usual()
+    assert usual.with_keyframe(1.0) == usual
+    assert usual.with_keyframe(0.6).agreement == pytest.approx(0.8)
+    for _ in range(20):
+        usual = usual.with_keyframe(0.7)
+    assert usual.agreement == pytest.approx(0.7, abs=1e-4)
+    assert (usual.overlap, usual.chi2) == (Usual().overlap, Usual().chi2)
+
+
+def test_the_first_keyframe_has_no_map_to_agree_with() -> None:
+    assert tracker()._usual.agreement > 0.9
+    assert tracker()._usual.frames == SEEN - 1
+
+
+# Frames that say nothing new.
+
+
+def test_a_repetition_is_bit_by_bit_the_same() -> None:
+    frame = frames()[0]
+    depth_m = frame.depth_m.copy()
+    depth_m[:20] = np.nan
+    frame = replace(frame, depth_m=depth_m)
+    later = replace(frame, stamp_ns=frame.stamp_ns + 33_000_000, depth_m=depth_m.copy())
+    assert is_repetition(later, frame)
+    color, nearer = frame.color.copy(), depth_m.copy()
+    color[-1, -1, -1] ^= 1
+    nearer[-1, -1] = np.nextafter(nearer[-1, -1], np.float32(0))
+    assert not is_repetition(replace(later, color=color), frame)
+    assert not is_repetition(replace(later, depth_m=nearer), frame)
+    assert not is_repetition(frames()[1], frames()[0])
+    grey = frame.color[..., 0]
+    assert is_repetition(replace(frame, color=grey.copy()), replace(frame, color=grey))
+    assert not is_repetition(replace(frame, color=grey), frame)

@@ -39,7 +39,7 @@ class LandmarkConfig(Stage):
     corners: int = ranged(300, 1, 5000, 'Largest number of corners that are tracked.')
     min_distance_px: int = ranged(12, 2, 200, 'Smallest distance between corners, pixels.')
     min_gradient_sigmas: float = ranged(
-        1.0,
+        3.0,
         0,
         1000,
         'Smallest gradient in the weakest direction of a corner, per pixel, in standard '

@@ -20,6 +20,7 @@ _EIGENVALUE = 9.0 * (8.0 / 3060.0) ** 2
 _LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _LEAST_NOISE = 0.3  # grey levels: of rounding
 _GRID = (6, 8)  # cells, down and across
+_FEW = 0.3  # share of the wanted corners below which a coarser image is searched too
 
 
 def corners(
@@ -27,33 +28,41 @@ def corners(
     taken: NDArray[np.float32],  # (L, 2)
     wanted: int,
     config: LandmarkConfig,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> NDArray[np.float32]:
     """Return Shi-Tomasi corners (N, 2) away from those `taken`, the best of each cell first.
 
-    And (N,) how strong they are: the gradient per pixel in the weakest direction, in standard
-    deviations of the noise.
-
-    They are found at half resolution. A corner is one where even the weakest gradient exceeds what
-    the image's noise would make of it: in dim light low contrast is all there is, and on a wall
+    They are found at half resolution, and where those are few, at a quarter too: motion blur
+    leaves only coarse texture. A corner is one where even the weakest gradient exceeds what the
+    image's noise would make of it: in dim light low contrast is all there is, and on a wall
     without texture the strongest corners are noise.
     """
-    if wanted <= 0:
-        return np.empty((0, 2), np.float32), np.empty(0, np.float32)
-    half = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    strength = cv2.cornerMinEigenVal(half, 3)
-    sigma = noise(half)
-    weakest = config.min_gradient_sigmas * sigma
-    reach = round(config.min_distance_px / 2.0)
-    _clear(strength, np.round(taken / 2.0).astype(np.int64), reach)
+    found = np.empty((0, 2), np.float32)
+    for scale in (2, 4):
+        if len(found) < _FEW * wanted:
+            more = _corners_at(grey, scale, np.concatenate([taken, found]), config)
+            found = np.concatenate([found, more])
+    return found[:wanted]
+
+
+def _corners_at(
+    grey: NDArray[np.uint8], scale: int, taken: NDArray[np.float32], config: LandmarkConfig
+) -> NDArray[np.float32]:
+    """Return the corners (N, 2) in the image made smaller by `scale`, pixels of the whole one."""
+    share = 1.0 / scale
+    small = cv2.resize(grey, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    strength = cv2.cornerMinEigenVal(small, 3)
+    weakest = config.min_gradient_sigmas * noise(small)
+    reach = max(round(config.min_distance_px / scale), 1)
+    _clear(strength, np.round(taken / scale).astype(np.int64), reach)
     around = np.ones((2 * reach + 1,) * 2, np.uint8)
     strength[:2] = strength[-2:] = strength[:, :2] = strength[:, -2:] = 0.0
     peaks = strength >= np.maximum(cv2.dilate(strength, around), weakest**2 * _EIGENVALUE)
-    y, x = np.divmod(np.flatnonzero(peaks), half.shape[1])
-    order = _by_cell(strength[y, x], y * _GRID[0] // half.shape[0], x * _GRID[1] // half.shape[1])
-    order = order[:wanted]
-    gradients = np.sqrt(strength[y[order], x[order]] / _EIGENVALUE) / sigma
-    pixels = np.column_stack([x[order], y[order]]).astype(np.float32) * 2.0 + 0.5
-    return pixels, gradients.astype(np.float32)
+    y, x = np.divmod(np.flatnonzero(peaks), small.shape[1])
+    order = _by_cell(
+        strength[y, x], y * _GRID[0] // small.shape[0], x * _GRID[1] // small.shape[1]
+    )
+    centre = 0.5 * (scale - 1)  # of the first small pixel
+    return np.column_stack([x[order], y[order]]).astype(np.float32) * scale + np.float32(centre)
 
 
 def noise(grey: NDArray[np.uint8]) -> float:

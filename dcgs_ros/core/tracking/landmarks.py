@@ -23,7 +23,6 @@ from .patches import Patches, cut
 _FLAT_SLOPE = 0.03  # largest depth range of 3x3 pixels on one surface, share of depth ...
 _FLAT_NOISE = 8.0  # ... plus this many sigma_z
 _SPARE = 3  # corners searched for each one wanted: many have no depth
-_SHARP = 3.0  # gradient, in standard deviations of noise, below which noise moves a corner
 _NEAREST_M = 0.05  # nearer landmarks have no meaningful projection
 _CONTRADICTS = 4.0  # standard deviations between a measured and an expected depth ...
 _ROUGH_M = 0.01  # ... plus this, metres
@@ -36,7 +35,6 @@ class Landmarks:
     """Tracked corners: their positions in the last image and in the world."""
 
     pixels: NDArray[np.float32]  # (L, 2) distorted, in the last image
-    sigma_px: NDArray[np.float32]  # (L,) standard deviation of that position
     targets: Targets  # l and the anchor's Sigma_t
     patches: Patches  # of the images in which they were detected
 
@@ -45,7 +43,7 @@ class Landmarks:
         """Return an empty set."""
         empty = np.empty((0, 3), np.float32)
         targets = Targets(empty, empty, empty[:, 0], empty[:, 0])
-        return cls(empty[:, :2], empty[:, 0], targets, Patches.none())
+        return cls(empty[:, :2], targets, Patches.none())
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -53,15 +51,12 @@ class Landmarks:
 
     def __getitem__(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Landmarks:
         """Return the landmarks of a mask or of indices."""
-        return Landmarks(
-            self.pixels[keep], self.sigma_px[keep], self.targets[keep], self.patches[keep]
-        )
+        return Landmarks(self.pixels[keep], self.targets[keep], self.patches[keep])
 
     def joined(self, other: Landmarks) -> Landmarks:
         """Return both sets together."""
         return Landmarks(
             np.concatenate([self.pixels, other.pixels]),
-            np.concatenate([self.sigma_px, other.sigma_px]),
             self.targets.joined(other.targets),
             self.patches.joined(other.patches),
         )
@@ -129,7 +124,7 @@ class Landmarks:
         ranges = np.linalg.norm(points, axis=1)
         along = np.where(bearing, 1.0, np.square(sensor.sigma(ranges)))
         covariances = covariances_along_rays(
-            points, np.square(self.sigma_px / camera.focal * ranges), along
+            points, np.square(config.sigma_px / camera.focal * ranges), along
         )
         return PointFactors(points, covariances, self.targets, huber=config.huber, weight=weight)
 
@@ -153,12 +148,11 @@ def detect(
     most `config.corners` together with those `alive`, which they keep their distance from.
     """
     wanted = config.corners - len(alive)
-    pixels, gradients = corners(grey, alive.pixels, _SPARE * wanted, config)
+    pixels = corners(grey, alive.pixels, _SPARE * wanted, config)
     guess = _depth_at(depth_m, pixels, sensor.a_m, sensor.b_per_m)
     z, rays = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, camera, sensor)
     best = np.flatnonzero(_in_range(z, sensor))[: max(wanted, 0)]  # the strongest are first
     pixels, points = pixels[best], rays[best] * z[best, None]
-    sigma_px = config.sigma_px * np.maximum(_SHARP / gradients[best], 1.0)
     R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
     world = se3.transform(T_world_cam, points).astype(np.float32)
     slots = gaussians.index.nearest(gaussians.means, world, config.anchor_radius_m)
@@ -173,7 +167,7 @@ def detect(
     anchors = observed_from(seen_at, seen_from, sensor, anchor_px / camera.focal)
     targets = replace(anchors, points=(world + normals * height).astype(np.float32))
     patches = cut(grey, pixels, points, normals @ R, T_world_cam, camera)
-    return Landmarks(pixels, sigma_px.astype(np.float32), targets, patches)
+    return Landmarks(pixels, targets, patches)
 
 
 def _klt(

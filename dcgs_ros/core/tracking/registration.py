@@ -170,9 +170,7 @@ def register(
         equations, sharp = equations + image_equations, sharp + image_equations
     chi2, hosts = chi2[pairs.targets.perp >= 0], depth.hosts(pairs)
     median = float(np.median(chi2)) if len(chi2) else np.inf
-    return Registration(
-        T, pairs, image, equations, sharp_depth, sharp, len(chi2), hosts, median
-    )
+    return Registration(T, pairs, image, equations, sharp_depth, sharp, len(chi2), hosts, median)
 
 
 def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:

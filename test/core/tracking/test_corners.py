@@ -35,7 +35,7 @@ def photographed(scene: NDArray[np.float64], sigma: float, seed: int) -> NDArray
 def found(
     grey: NDArray[np.uint8], wanted: int = 300, taken: NDArray[np.float32] = NONE
 ) -> NDArray[np.float32]:
-    return corners(grey, taken, wanted, CONFIG)[0]
+    return corners(grey, taken, wanted, CONFIG)
 
 
 def share_found_again(pixels: NDArray[np.float32], others: NDArray[np.float32]) -> float:

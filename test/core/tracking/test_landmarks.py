@@ -80,7 +80,6 @@ def landmarks_at(
     axes = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
     return Landmarks(
         at,
-        np.full(n, CONFIG.sigma_px, np.float32),
         Targets(np.asarray(world, np.float32), axes, variance, variance),
         cut(image, at, points, facing, STILL, PINHOLE),
     )

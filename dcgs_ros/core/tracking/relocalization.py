@@ -17,7 +17,7 @@ _TRIES = 3  # poses a frame: what real time has room for
 # Shares of what is usual that a frame must reach: of the overlap, of the agreement of the map with
 # the frame. Noisy depth is explained worse everywhere, so the wanted overlap falls with every
 # frame in which nothing is found.
-_OVERLAP, _AT_LEAST, _PATIENCE = 0.8, 0.6, 0.005
+_OVERLAP, _AT_LEAST, _PATIENCE = 0.85, 0.7, 0.005
 _AGREEMENT = 0.87
 _CHI2 = 2.0  # most of the usual median of depth's residuals
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,13 +24,13 @@ from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
-from .observability import Observability, observability
+from .observability import observability
 from .propagation import BiasVariance, KeyframeChain, MotionLimit
 from .registration import DepthTerm, Registration
 from .relocalization import Relocalizer
 from .result import TrackingState, TrackResult
 from .uncertainty import PoseUncertainty, pose_uncertainty
-from .verification import Evidence, Usual, is_repetition, weigh
+from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigmas, weigh
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
@@ -92,9 +93,11 @@ class Tracker:
         if self._first is not None:
             self._place_first(self._first, frame)
         found = estimate(frame, self._memory, self.gaussians, self.camera, self.config)
+        uncertainty = self._uncertainty(found.registration)
         evidence = weigh(
-            found, self._memory, self._usual, self.gaussians, self.camera, self.config
-        )
+            found, self._memory, self._usual, self._in_doubt(uncertainty), self.gaussians,
+            self.camera, self.config,
+        )  # fmt: skip
         if evidence.contradicts or not found.is_trusted(self.config):
             return self._relocalize(frame, self._lose(), [found.registered.T_world_cam])
         last = self._memory.last
@@ -104,7 +107,7 @@ class Tracker:
             self._held.append(self._extend_map(found.registered, last))
         elif found.fresh and self._runs_out_of_landmarks():
             self._anchor_landmarks(found.registered)
-        return self._result(found, self._uncertainty(found.registration), keyframe)
+        return self._result(found, uncertainty, keyframe)
 
     def flush(self) -> tuple[Keyframe, ...]:
         """Hand over what no result has yet: the first keyframe, where no second frame came."""
@@ -263,9 +266,11 @@ class Tracker:
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
         uncertainty = self._uncertainty(best)
-        spectrum = observability(best.equations.H, uncertainty.information)
-        if self._state(spectrum) is TrackingState.DEGENERATE:  # anywhere along that direction
-            return self._lost(frame, best)
+        if self._is_degenerate(best, uncertainty, self._measured(uncertainty)):
+            return self._lost(frame, best)  # it may be anywhere along that direction
+        jump = jump_sigmas(T, motion.prior(frame.stamp_ns), self._in_doubt(uncertainty))
+        if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
+            return self._lost(frame, best)  # it cannot have got there
         self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
         self._memory = replace(
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
@@ -373,11 +378,17 @@ class Tracker:
         in_world = self._chain.in_world(registered.T_world_cam, covariance, result.hosts)
         if keyframe:
             self._chain.add(registered.T_world_cam, in_world)
-        spectrum = observability(result.equations.H, uncertainty.information)
+        assert self._limit is not None
+        state = TrackingState.OK
+        if self._unconfirmed:
+            state = TrackingState.RELOCALISED
+        elif self._is_degenerate(result, uncertainty, self._limit.covariance):
+            state = TrackingState.DEGENERATE
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,
-            covariance, in_world, self._state(spectrum), spectrum, len(result.depth.points),
-            result.inliers, len(self.landmarks), keyframe, self.flush(),
+            covariance, in_world, state,
+            observability(result.equations.H, uncertainty.information),
+            len(result.depth.points), result.inliers, len(self.landmarks), keyframe, self.flush(),
             1e3 * self._offset.seconds,
         )  # fmt: skip
 
@@ -386,9 +397,7 @@ class Tracker:
     ) -> NDArray[np.float64]:
         """Return what residuals, clocks and the motion so far leave open of a pose (6, 6)."""
         self._bias = self._bias.observed(uncertainty.bias_evidence)
-        measured = uncertainty.covariance(
-            self._bias.beta2, self._offset.sigma_s, self._memory.motion.twist
-        )
+        measured = self._measured(uncertainty)
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         if self._limit is None:
             self._limit = MotionLimit.begun(measured, T, stamp_ns)
@@ -397,9 +406,29 @@ class Tracker:
         late = 1e-3 * self.config.sensor.stamp_ms * self._memory.motion.twist
         return self._limit.covariance + np.outer(late, late)
 
-    def _state(self, spectrum: Observability) -> TrackingState:
-        if self._unconfirmed and self._relocalizer is None:
-            return TrackingState.RELOCALISED
+    def _measured(self, uncertainty: PoseUncertainty) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of a pose from its own frame alone."""
+        return uncertainty.covariance(
+            self._bias.beta2, self._offset.sigma_s, self._memory.motion.twist
+        )
+
+    def _in_doubt(self, uncertainty: PoseUncertainty) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of a pose and of the one before, together."""
+        before = np.zeros((6, 6)) if self._limit is None else self._limit.covariance
+        return before + self._measured(uncertainty)
+
+    def _is_degenerate(
+        self, found: Registration, uncertainty: PoseUncertainty, covariance: NDArray[np.float64]
+    ) -> bool:
+        """Return whether a direction is not held, by this frame or by what is claimed of it."""
         limits = self.config.registration
-        degenerate = spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
-        return TrackingState.DEGENERATE if degenerate else TrackingState.OK
+        spectrum = observability(found.equations.H, uncertainty.information)
+        claimed_m, claimed_rad = (
+            math.sqrt(np.linalg.eigvalsh(block)[-1])
+            for block in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        return (
+            spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
+            or claimed_m > limits.degenerate_m
+            or claimed_rad > limits.degenerate_rad
+        )

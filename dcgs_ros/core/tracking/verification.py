@@ -4,19 +4,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from .estimator import Estimate, Memory
+from .factors import PosePrior
 from .gaussian_map import GaussianMap
 from .registration import Registration
 
-_JUMP_SIGMAS = 6.0  # of a hand's acceleration; 4.2 in the fastest real turns measured
+JUMP_SIGMAS = 6.0  # of a hand's acceleration; 4.2 in the fastest real turns measured
 _DOUBTFUL_SIGMAS = 3.0
 _OVERLAP_DROP = 0.85  # of the last frame's overlap: below, the agreement tells why
 _DISAGREEMENT = 0.8  # of the usual agreement
@@ -85,7 +88,7 @@ class Evidence:
         dissent = self.consistent < _DISSENT
         support = self.consistent > _SUPPORT and self.landmarks >= _MANY
         return (
-            self.jump_sigmas > _JUMP_SIGMAS
+            self.jump_sigmas > JUMP_SIGMAS
             or self.chi2_ratio > _CHI2_RISE
             or jumps + dissent + self.misfits - support >= 2
         )
@@ -105,15 +108,17 @@ def weigh(
     found: Estimate,
     memory: Memory,
     usual: Usual,
+    uncertain: NDArray[np.float64],
     gaussians: GaussianMap,
     camera: PinholeCamera,
     config: Config,
 ) -> Evidence:
-    """Return what speaks against an estimate of the frame after those in `memory`."""
+    """Return what speaks against an estimate of the frame after those in `memory`.
+
+    `uncertain` (6, 6) is the covariance of its pose and of the one before, together.
+    """
     registered, result = found.registered, found.registration
     T, frame = registered.T_world_cam, registered.frame
-    prior = memory.motion.prior(frame.stamp_ns)
-    jump = se3.log(se3.inverse(prior.T_world_cam) @ T)
     overlap = agreement = chi2 = consistent = 1.0
     if found.sees_depth(config):
         overlap = result.overlap / max(memory.overlap, 1e-9)
@@ -124,13 +129,19 @@ def weigh(
             agreement = share / usual.agreement
     if result.image is not None:
         consistent = float(np.mean(result.image.chi2(T) < config.landmarks.drop_chi2))
-    return Evidence(
-        max(
-            float(np.linalg.norm(jump[:3])) / prior.sigma_m,
-            float(np.linalg.norm(jump[3:])) / prior.sigma_rad,
-        ),
-        overlap, agreement, chi2, consistent, len(found.landmarks),
-    )  # fmt: skip
+    jump = jump_sigmas(T, memory.motion.prior(frame.stamp_ns), uncertain)
+    return Evidence(jump, overlap, agreement, chi2, consistent, len(found.landmarks))
+
+
+def jump_sigmas(
+    T_world_cam: NDArray[np.float64],  # (4, 4)
+    prior: PosePrior,
+    uncertain: NDArray[np.float64],  # (6, 6) covariance of both poses, camera frame
+) -> float:
+    """Return the Mahalanobis distance of a pose from the predicted one."""
+    jump = se3.log(se3.inverse(prior.T_world_cam) @ T_world_cam)
+    sigmas = np.repeat([prior.sigma_m, prior.sigma_rad], 3)
+    return math.sqrt(jump @ np.linalg.solve(np.diag(sigmas**2) + uncertain, jump))
 
 
 def is_repetition(frame: RgbdFrame, last: RgbdFrame) -> bool:

@@ -117,7 +117,8 @@ def estimate(
     # III-B, III-C and III-E: the depth residual, and joint Levenberg-Marquardt with the landmarks.
     def registered_from(start: _Start, image: PointFactors | None) -> Registration:
         depth = _depth_term(frame, memory, gaussians, camera, config, start)
-        return register(start.T_world_cam, depth, image, config, start.search_m)
+        moved = None if config.shares_covariance else prior  # a metric term among others
+        return register(start.T_world_cam, depth, image, config, start.search_m, moved)
 
     found = registered_from(start, image)
     if image is not None and _misled(found, prior, memory):

@@ -141,20 +141,24 @@ def register(
     image: PointFactors | None,
     config: Config,
     search_m: float,
+    prior: PosePrior | None = None,
 ) -> Registration:
     """Minimise the paper's E(T): associate and descend until the pose has converged.
 
+    The `prior` is the predicted motion. It is far weaker than what depth and landmarks measure,
+    and carries the pose along the directions that they leave open; the equations of the result are
+    without it.
     `search_m` is the radius of the first association; it halves with each next one, down to r.
     Convergence is judged over a whole association, since the steps with fixed matches get small
     well before the matches stop changing.
     """
     settings = config.registration
-    images = [] if image is None else [image]
+    others = [factor for factor in (image, prior) if factor is not None]
     T, search_m = T_world_cam, max(search_m, settings.radius_m)
     for _ in range(max(1, settings.max_iterations // _STEPS_AN_ASSOCIATION)):
         before = T
         pairs = depth.associate(T, search_m)
-        T = descend(T, [pairs, *images], _STEPS_AN_ASSOCIATION)
+        T = descend(T, [pairs, *others], _STEPS_AN_ASSOCIATION)
         moved = se3.inverse(before) @ T
         turned = np.linalg.norm(moved[:3, :3] - np.eye(3)) / np.sqrt(2.0)
         still = np.linalg.norm(moved[:3, 3]) < settings.tolerance_m

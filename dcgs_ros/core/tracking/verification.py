@@ -82,13 +82,13 @@ class Evidence:
         """Whether the estimate is wrong: a jump or a misfit that cannot be, or two doubts.
 
         Landmarks alone do not make it wrong, as things move and turn in front of a camera; many
-        that agree outweigh a doubt.
+        that agree outweigh a doubt, and a knock is a jump that they confirm.
         """
         jumps = self.jump_sigmas > _DOUBTFUL_SIGMAS
         dissent = self.consistent < _DISSENT
         support = self.consistent > _SUPPORT and self.landmarks >= _MANY
         return (
-            self.jump_sigmas > JUMP_SIGMAS
+            (self.jump_sigmas > JUMP_SIGMAS and not support)
             or self.chi2_ratio > _CHI2_RISE
             or jumps + dissent + self.misfits - support >= 2
         )

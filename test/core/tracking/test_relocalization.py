@@ -215,6 +215,17 @@ def test_a_pose_that_is_contradicted_though_right_is_found_at_once(
     assert_true([again, tracker.track(frames[6])], first=5)
 
 
+def test_after_a_jerk_the_camera_is_found_where_its_landmarks_say() -> None:
+    """Five frames' way in one frame's time: no hand does that, and no visited pose is near."""
+    frames, tracker = frames_of(ROOM), tracker_for()
+    for frame in frames[:5]:
+        tracker.track(frame)
+    late_ns = frames[5].stamp_ns - frames[10].stamp_ns
+    found = [tracker.track(shifted(frame, late_ns)) for frame in frames[10:13]]
+    assert states(found) == [FOUND] * 3
+    assert_true(found, first=10)
+
+
 # Gaps and clocks.
 
 

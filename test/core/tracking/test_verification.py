@@ -125,12 +125,15 @@ def found() -> Estimate:
 
 
 def weighed(
-    estimated: Estimate | None = None, memory: Memory | None = None, usual: Usual | None = None
+    estimated: Estimate | None = None,
+    memory: Memory | None = None,
+    usual: Usual | None = None,
+    uncertain: float = 0.0,
 ) -> Evidence:
     made = tracker()
     return weigh(
-        estimated or found(), memory or made._memory, usual or made._usual, made.gaussians,
-        made.camera, made.config,
+        estimated or found(), memory or made._memory, usual or made._usual,
+        uncertain * np.eye(6), made.gaussians, made.camera, made.config,
     )  # fmt: skip
 
 
@@ -154,8 +157,11 @@ def test_a_jump_is_counted_in_sigmas_of_the_prediction(sigmas: float, axis: int)
     prior = tracker()._memory.motion.prior(frames()[SEEN].stamp_ns)
     xi = np.zeros(6)
     xi[axis] = sigmas * (prior.sigma_m if axis < 3 else prior.sigma_rad)
-    jumped = weighed(at(prior.T_world_cam @ se3.exp(xi)))
-    assert jumped.jump_sigmas == pytest.approx(sigmas, abs=1e-6)
+    there = at(prior.T_world_cam @ se3.exp(xi))
+    assert weighed(there).jump_sigmas == pytest.approx(sigmas, abs=1e-6)
+    variance = np.square(prior.sigma_m if axis < 3 else prior.sigma_rad)
+    doubted = weighed(there, uncertain=3.0 * variance)  # the poses are as uncertain as that
+    assert doubted.jump_sigmas == pytest.approx(0.5 * sigmas, abs=1e-6)
 
 
 def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:

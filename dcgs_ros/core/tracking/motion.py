@@ -15,6 +15,7 @@ from ..config.stages import TimingConfig
 from .factors import NormalEquations, PosePrior
 
 _MAX_GAP_S = 0.5  # over a longer one nothing is extrapolated
+_LONG_AGO_NS = -(1 << 62)  # longer ago than any stamp
 _MIN_INTERVAL_S = 0.005  # a shorter one, by a faulty clock, would make a velocity out of noise
 ACCELERATION = 10.0  # m / s^2 of a hand-held camera, standard deviation
 ANGULAR_ACCELERATION = 30.0  # rad / s^2
@@ -49,8 +50,10 @@ class ConstantVelocity:
     interval_s: float = 0.0  # the last frame interval; 0: none yet
 
     @classmethod
-    def at_rest(cls, T_world_cam: NDArray[np.float64], stamp_ns: int = 0) -> ConstantVelocity:
-        """Begin at a pose (4, 4), standing still."""
+    def at_rest(
+        cls, T_world_cam: NDArray[np.float64], stamp_ns: int = _LONG_AGO_NS
+    ) -> ConstantVelocity:
+        """Begin at a pose (4, 4), standing still; without a stamp, at a time that is not known."""
         return cls(T_world_cam, stamp_ns, np.zeros(6))
 
     def _since_last_s(self, stamp_ns: int) -> float:

@@ -93,13 +93,16 @@ class Tracker:
         if self._first is not None:
             self._place_first(self._first, frame)
         found = estimate(frame, self._memory, self.gaussians, self.camera, self.config)
+        guesses = [found.registered.T_world_cam]
+        if not found.is_trusted(self.config):
+            return self._relocalize(frame, self._lose(), guesses)
         uncertainty = self._uncertainty(found.registration)
         evidence = weigh(
             found, self._memory, self._usual, self._in_doubt(uncertainty), self.gaussians,
             self.camera, self.config,
         )  # fmt: skip
-        if evidence.contradicts or not found.is_trusted(self.config):
-            return self._relocalize(frame, self._lose(), [found.registered.T_world_cam])
+        if evidence.contradicts:
+            return self._relocalize(frame, self._lose(), guesses)
         last = self._memory.last
         self._accept(found, evidence)
         keyframe = not self._unconfirmed and not evidence.doubtful and self._is_keyframe(found)
@@ -140,6 +143,7 @@ class Tracker:
         """
         self._first = self._stamp_ns = None
         if self._begun:
+            self._memory = self._forgotten(ConstantVelocity.at_rest(self.T_world_cam))
             self._lose()
 
     def reconfigure(self, config: Config) -> None:

@@ -23,6 +23,7 @@ FACING = np.array([0.0, 0.0, -1.0])
 ALIGNED_PX = 0.05
 SHIFTED_PX = 0.1  # with an image that OpenCV shifts in steps of 1/32 pixel and rounds
 SEEN_PX = 0.15  # between an image and another view of it, both interpolated and rounded
+REACH_PX = 5.0
 ALIKE, UNLIKE = 0.97, 0.6  # correlation with the same place, and with another
 PLACES = np.array([[x, y] for x in range(60, 280, 20) for y in range(50, 200, 20)], np.float32)
 
@@ -73,7 +74,9 @@ def test_a_shift_of_parts_of_a_pixel_is_found(shift: tuple[float, float]) -> Non
     image = texture(1)
     matrix = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     grey = cv2.warpAffine(image, matrix, (320, 240), flags=cv2.INTER_CUBIC).astype(np.uint8)
-    at, correlation = of(image).aligned(grey, PLACES, lifted(PINHOLE, PLACES), STILL, PINHOLE)
+    at, correlation = of(image).aligned(
+        grey, PLACES, lifted(PINHOLE, PLACES), STILL, PINHOLE, REACH_PX
+    )
     errors = np.linalg.norm(at - PLACES - np.array(shift), axis=1)
     assert np.median(errors) < SHIFTED_PX
     assert np.mean((errors < 3 * SHIFTED_PX) & (correlation > ALIKE)) > 0.85
@@ -84,7 +87,9 @@ def test_light_and_exposure_do_not_matter(gain: float, offset: float) -> None:
     image = texture(2)
     grey = np.clip(np.round(gain * image.astype(float) + offset), 0, 255).astype(np.uint8)
     start = PLACES + np.array([0.8, -0.6], np.float32)
-    at, correlation = of(image).aligned(grey, start, lifted(PINHOLE, PLACES), STILL, PINHOLE)
+    at, correlation = of(image).aligned(
+        grey, start, lifted(PINHOLE, PLACES), STILL, PINHOLE, REACH_PX
+    )
     errors = np.linalg.norm(at - PLACES, axis=1)
     assert np.mean((errors < 2 * ALIGNED_PX) & (correlation > ALIKE)) > 0.9
 
@@ -112,19 +117,36 @@ def test_a_patch_is_warped_as_the_pose_says(
     kept = np.all((pixels > 20) & (pixels < (300, 220)), axis=1)
     patches, start = of(image, camera=camera, T_world_cam=born)[kept], pixels[kept] + 0.5
     grey = view(image, T, camera)
-    at, correlation = patches.aligned(grey, start, seen[kept], born @ T, camera)
+    at, correlation = patches.aligned(grey, start, seen[kept], born @ T, camera, REACH_PX)
     errors = np.linalg.norm(at - pixels[kept], axis=1)
     assert kept.sum() > 15
     assert np.median(errors) < SEEN_PX
     assert np.mean((errors < 3 * SEEN_PX) & (correlation > 0.9)) > 0.85
-    _, unwarped = patches.aligned(grey, start, points[kept], born, camera)
+    _, unwarped = patches.aligned(grey, start, points[kept], born, camera, REACH_PX)
     assert np.median(correlation) > np.median(unwarped) + 0.03
+
+
+@pytest.mark.parametrize('axis', [0, 1])
+def test_a_search_ends_where_it_has_gone_too_far(axis: int) -> None:
+    """It ends beyond its reach, so that it shows: not at the place, and not where it began."""
+    image = texture(10)
+    start = PLACES.copy()
+    start[:, axis] += 1.6
+    patches, points = of(image), lifted(PINHOLE, PLACES)
+    far, _ = patches.aligned(image, start, points, STILL, PINHOLE, REACH_PX)
+    near, _ = patches.aligned(image, start, points, STILL, PINHOLE, 0.5)
+    reached = np.linalg.norm(far - PLACES, axis=1) < ALIGNED_PX
+    assert np.mean(reached) > 0.7
+    moved = np.abs(near - start).max(axis=1)[reached]
+    assert (moved > 0.5).all()
+    steps = np.abs(far - near)[reached].max(axis=1)
+    assert np.median(steps) > ALIGNED_PX  # it did not go on to the end
 
 
 def test_another_texture_does_not_correlate() -> None:
     patches, points = of(texture(4)), lifted(PINHOLE, PLACES)
     for grey in (texture(5), 255 - texture(4)):
-        _, correlation = patches.aligned(grey, PLACES, points, STILL, PINHOLE)
+        _, correlation = patches.aligned(grey, PLACES, points, STILL, PINHOLE, REACH_PX)
         assert np.mean(correlation > UNLIKE) < 0.3
         assert (np.abs(correlation) <= 1.0 + 1e-6).all()
 
@@ -138,11 +160,11 @@ def test_what_reaches_out_of_the_image_is_not_aligned() -> None:
         points = lifted(PINHOLE, np.nan_to_num(pixels))
         facing = np.tile(FACING, (len(pixels), 1))
         patches = cut(image, np.nan_to_num(pixels), points, facing, STILL, PINHOLE)
-        _, correlation = patches.aligned(image, pixels, points, STILL, PINHOLE)
+        _, correlation = patches.aligned(image, pixels, points, STILL, PINHOLE, REACH_PX)
         assert ((correlation > ALIKE) == expected).all()
         assert expected or (correlation == -1.0).all()
         closer = points * 0.4
-        _, correlation = patches.aligned(image, pixels, closer, STILL, PINHOLE)
+        _, correlation = patches.aligned(image, pixels, closer, STILL, PINHOLE, REACH_PX)
         assert (correlation == -1.0).all()
 
 
@@ -156,7 +178,7 @@ def test_what_has_no_texture_is_not_aligned() -> None:
     pixels = np.array([[160.0, 120.0]], np.float32)
     for image in (flat, speck, edge):
         at, correlation = of(image, pixels).aligned(
-            texture(7), pixels, lifted(PINHOLE, pixels), STILL, PINHOLE
+            texture(7), pixels, lifted(PINHOLE, pixels), STILL, PINHOLE, REACH_PX
         )
         assert correlation.tolist() == [-1.0]
         np.testing.assert_array_equal(at, pixels)

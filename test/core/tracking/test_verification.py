@@ -16,13 +16,7 @@ from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
 from dcgs_ros.core.tracking.tracker import Tracker
-from dcgs_ros.core.tracking.verification import (
-    Evidence,
-    Usual,
-    is_repetition,
-    median_chi2,
-    weigh,
-)
+from dcgs_ros.core.tracking.verification import Evidence, Usual, is_repetition, weigh
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 SEEN = 5  # frames that were tracked before the one that is weighed
@@ -131,12 +125,15 @@ def found() -> Estimate:
 
 
 def weighed(
-    estimated: Estimate | None = None, memory: Memory | None = None, usual: Usual | None = None
+    estimated: Estimate | None = None,
+    memory: Memory | None = None,
+    usual: Usual | None = None,
+    uncertain: float = 0.0,
 ) -> Evidence:
     made = tracker()
     return weigh(
-        estimated or found(), memory or made._memory, usual or made._usual, made.gaussians,
-        made.camera, made.config,
+        estimated or found(), memory or made._memory, usual or made._usual,
+        uncertain * np.eye(6), made.gaussians, made.camera, made.config,
     )  # fmt: skip
 
 
@@ -160,8 +157,11 @@ def test_a_jump_is_counted_in_sigmas_of_the_prediction(sigmas: float, axis: int)
     prior = tracker()._memory.motion.prior(frames()[SEEN].stamp_ns)
     xi = np.zeros(6)
     xi[axis] = sigmas * (prior.sigma_m if axis < 3 else prior.sigma_rad)
-    jumped = weighed(at(prior.T_world_cam @ se3.exp(xi)))
-    assert jumped.jump_sigmas == pytest.approx(sigmas, abs=1e-6)
+    there = at(prior.T_world_cam @ se3.exp(xi))
+    assert weighed(there).jump_sigmas == pytest.approx(sigmas, abs=1e-6)
+    variance = np.square(prior.sigma_m if axis < 3 else prior.sigma_rad)
+    doubted = weighed(there, uncertain=3.0 * variance)  # the poses are as uncertain as that
+    assert doubted.jump_sigmas == pytest.approx(0.5 * sigmas, abs=1e-6)
 
 
 def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:
@@ -172,7 +172,7 @@ def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:
     )
     assert half.overlap_ratio == pytest.approx(0.5 * weighed().overlap_ratio)
     assert half.chi2_ratio == pytest.approx(2.0 * weighed().chi2_ratio)
-    assert weighed().chi2_ratio == pytest.approx(median_chi2(found().registration) / usual.chi2)
+    assert weighed().chi2_ratio == pytest.approx(found().registration.median_chi2 / usual.chi2)
 
 
 def test_the_agreement_is_asked_for_only_where_the_overlap_falls() -> None:
@@ -215,10 +215,11 @@ def test_without_depth_only_the_motion_and_the_landmarks_speak() -> None:
         covariances=registration.depth.covariances[keep],
         targets=registration.depth.targets[keep],
     )  # fmt: skip
-    blind = replace(found(), registration=replace(registration, depth=depth, inliers=0))
+    blind = replace(found(), registration=replace(
+        registration, depth=depth, inliers=0, median_chi2=np.inf
+    ))  # fmt: skip
     seen = weighed(blind)
     assert (seen.overlap_ratio, seen.agreement_ratio, seen.chi2_ratio) == (1.0, 1.0, 1.0)
-    assert median_chi2(blind.registration) == np.inf
     images = replace(blind, registration=replace(blind.registration, image=None))
     assert weighed(images).consistent == 1.0
 
@@ -228,7 +229,7 @@ def test_what_is_usual_settles_on_what_is_seen() -> None:
     registration = found().registration
     usual = Usual().with_frame(registration)
     assert usual.overlap == pytest.approx(registration.overlap)
-    assert usual.chi2 == pytest.approx(median_chi2(registration))
+    assert usual.chi2 == pytest.approx(registration.median_chi2)
     fewer = replace(registration, inliers=registration.inliers // 2)
     for k in range(1, 60):
         usual = usual.with_frame(fewer)

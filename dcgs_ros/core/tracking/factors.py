@@ -323,5 +323,8 @@ def _accumulate_along(points, covariances, normals, targets, axes, perp, along, 
             - (a0 * x + a1 * y + a2 * z)
         )
         for a in range(7):
-            for b in range(7):
+            for b in range(a, 7):
                 total[a, b] += row[a] * row[b] / variance
+    for a in range(7):
+        for b in range(a):
+            total[a, b] = total[b, a]

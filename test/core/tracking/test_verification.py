@@ -20,7 +20,6 @@ from dcgs_ros.core.tracking.verification import (
     Evidence,
     Usual,
     is_repetition,
-    median_chi2,
     weigh,
 )
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
@@ -172,7 +171,7 @@ def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:
     )
     assert half.overlap_ratio == pytest.approx(0.5 * weighed().overlap_ratio)
     assert half.chi2_ratio == pytest.approx(2.0 * weighed().chi2_ratio)
-    assert weighed().chi2_ratio == pytest.approx(median_chi2(found().registration) / usual.chi2)
+    assert weighed().chi2_ratio == pytest.approx(found().registration.median_chi2 / usual.chi2)
 
 
 def test_the_agreement_is_asked_for_only_where_the_overlap_falls() -> None:
@@ -218,7 +217,7 @@ def test_without_depth_only_the_motion_and_the_landmarks_speak() -> None:
     blind = replace(found(), registration=replace(registration, depth=depth, inliers=0))
     seen = weighed(blind)
     assert (seen.overlap_ratio, seen.agreement_ratio, seen.chi2_ratio) == (1.0, 1.0, 1.0)
-    assert median_chi2(blind.registration) == np.inf
+    assert blind.registration.median_chi2 == np.inf
     images = replace(blind, registration=replace(blind.registration, image=None))
     assert weighed(images).consistent == 1.0
 
@@ -228,7 +227,7 @@ def test_what_is_usual_settles_on_what_is_seen() -> None:
     registration = found().registration
     usual = Usual().with_frame(registration)
     assert usual.overlap == pytest.approx(registration.overlap)
-    assert usual.chi2 == pytest.approx(median_chi2(registration))
+    assert usual.chi2 == pytest.approx(registration.median_chi2)
     fewer = replace(registration, inliers=registration.inliers // 2)
     for k in range(1, 60):
         usual = usual.with_frame(fewer)

@@ -1,12 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Symmetric 3x3 matrices as six scalars (xx, xy, xz, yy, yz, zz), inlined into the kernels."""
+"""Symmetric 3x3 matrices as six scalars (xx, xy, xz, yy, yz, zz), inlined into the kernels.
+
+And small systems: NumPy's checks take longer than their solution.
+"""
 
 from __future__ import annotations
 
 import math
 
-from .jit import inlined
+from .jit import fast_kernel, inlined
 
 
 @inlined
@@ -66,3 +69,32 @@ def smallest_eigenvector(xx, xy, xz, yy, yz, zz, smallest):
         return 0.0, 0.0, 1.0
     s = 1.0 / math.sqrt(n0)
     return x0 * s, y0 * s, z0 * s
+
+
+@fast_kernel
+def solve(A, B):
+    """Overwrite `B` (N, K) with the solution X of A X = B; the contents of `A` (N, N) are lost.
+
+    Gaussian elimination with partial pivoting. The solution of a singular system is not finite.
+    """
+    n, m = B.shape
+    for c in range(n):
+        pivot = c
+        for r in range(c + 1, n):
+            if abs(A[r, c]) > abs(A[pivot, c]):
+                pivot = r
+        for k in range(c, n):
+            A[c, k], A[pivot, k] = A[pivot, k], A[c, k]
+        for k in range(m):
+            B[c, k], B[pivot, k] = B[pivot, k], B[c, k]
+        for r in range(c + 1, n):
+            share = A[r, c] / A[c, c]
+            for k in range(c + 1, n):
+                A[r, k] -= share * A[c, k]
+            for k in range(m):
+                B[r, k] -= share * B[c, k]
+    for r in range(n - 1, -1, -1):
+        for k in range(m):
+            for c in range(r + 1, n):
+                B[r, k] -= A[r, c] * B[c, k]
+            B[r, k] /= A[r, r]

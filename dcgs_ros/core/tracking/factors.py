@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..kernels.jit import kernel
-from ..kernels.small_matrix import inverse_symmetric
+from ..kernels.small_matrix import inverse_symmetric, solve
 from ..sensor import SensorNoise
 
 
@@ -97,16 +97,16 @@ class NormalEquations:
         It is marginalised: however many the points, their information on the pose is limited to
         that of Q.
         """
-        M = np.eye(6) + self.H @ Q
-        H, g = np.linalg.solve(M, self.H), np.linalg.solve(M, self.g)
+        both = np.column_stack([self.H, self.g])
+        solve(np.eye(6) + self.H @ Q, both)
+        H, g = both[:, :6], both[:, 6]
         return NormalEquations(0.5 * (H + H.T), g, self.cost - float(self.g @ Q @ g))
 
     def step(self, damping: float) -> NDArray[np.float64]:
         """Return the solution xi (6,) of (H + damping diag(H)) xi = g (Marquardt's scaling)."""
-        diagonal = np.diag(self.H)
-        xi: NDArray[np.float64] = np.linalg.solve(
-            self.H + np.diag(damping * diagonal + 1e-9), self.g
-        )
+        system, xi = np.array(self.H, np.float64), np.array(self.g, np.float64)
+        system.flat[::7] += damping * system.flat[::7] + 1e-9
+        solve(system, xi[:, None])
         return xi
 
 
@@ -323,5 +323,8 @@ def _accumulate_along(points, covariances, normals, targets, axes, perp, along, 
             - (a0 * x + a1 * y + a2 * z)
         )
         for a in range(7):
-            for b in range(7):
+            for b in range(a, 7):
                 total[a, b] += row[a] * row[b] / variance
+    for a in range(7):
+        for b in range(a):
+            total[a, b] = total[b, a]

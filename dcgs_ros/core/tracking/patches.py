@@ -49,7 +49,7 @@ class Patches:
         points: NDArray[np.floating],  # (L, 3) of the landmarks, metres, camera frame
         T_world_cam: NDArray[np.float64],  # (4, 4)
         camera: PinholeCamera,
-        reach_px: float,
+        reach_px: float = math.inf,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return where in the image they are (L, 2), and their correlation there (L,) in [-1, 1].
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Inverse and eigenvectors of symmetric 3x3 matrices, against numpy."""
+"""Inverse and eigenvectors of symmetric 3x3 matrices, and small systems, against numpy."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from dcgs_ros.core.kernels.small_matrix import (
     eigenvalues_symmetric,
     inverse_symmetric,
     smallest_eigenvector,
+    solve,
 )
 
 INVERSE = 1e-7  # relative: a needle's determinant loses its condition number twice
 EIGENVALUE = 1e-14  # of the largest eigenvalue, apart from the degenerate
 DEGENERATE = 1e-7  # where eigenvalues meet the cubic's roots lose half the digits
+SOLVED = 1e-13
 SCALES = [1e-8, 1.0, 1e6]
 UPPER = np.triu_indices(3)
 
@@ -116,3 +118,24 @@ def test_axes_of_a_diagonal_matrix(axis: int) -> None:
     diagonal[axis] = 0.5
     found = weakest(np.diag(diagonal)[UPPER], 0.5)
     np.testing.assert_allclose(np.abs(found), np.eye(3)[axis], atol=1e-12)
+
+
+@pytest.mark.parametrize('size', [1, 2, 6])
+def test_a_system_is_solved(size: int) -> None:
+    rng = np.random.default_rng(size)
+    A, B = rng.normal(size=(size, size)), rng.normal(size=(size, 3))
+    X = B.copy()
+    solve(A.copy(), X)
+    np.testing.assert_allclose(A @ X, B, atol=SOLVED)
+
+
+def test_a_zero_on_the_diagonal_is_no_obstacle() -> None:
+    X = np.array([[2.0], [3.0]])
+    solve(np.array([[0.0, 1.0], [1.0, 0.0]]), X)
+    np.testing.assert_array_equal(X, [[3.0], [2.0]])
+
+
+def test_a_singular_system_has_no_finite_solution() -> None:
+    X = np.ones((2, 1))
+    solve(np.ones((2, 2)), X)
+    assert not np.isfinite(X).all()

@@ -82,6 +82,18 @@ def test_a_shift_of_parts_of_a_pixel_is_found(shift: tuple[float, float]) -> Non
     assert np.mean((errors < 3 * SHIFTED_PX) & (correlation > ALIKE)) > 0.85
 
 
+def test_a_search_ends_beyond_its_reach() -> None:
+    image = texture(1)
+    matrix = np.array([[1.0, 0.0, 2.5], [0.0, 1.0, 0.0]])
+    grey = cv2.warpAffine(image, matrix, (320, 240), flags=cv2.INTER_CUBIC).astype(np.uint8)
+    points = lifted(PINHOLE, PLACES)
+    arrived, _ = of(image).aligned(grey, PLACES, points, STILL, PINHOLE, 4.0)
+    ended, _ = of(image).aligned(grey, PLACES, points, STILL, PINHOLE, 0.5)
+    assert np.median(np.abs(arrived - PLACES - [2.5, 0.0])) < SHIFTED_PX
+    assert np.median(ended[:, 0] - PLACES[:, 0]) < 2.5 - SHIFTED_PX
+    assert np.all(np.abs(ended - PLACES).max(axis=1)[arrived[:, 0] > PLACES[:, 0] + 2.0] > 0.5)
+
+
 @pytest.mark.parametrize(('gain', 'offset'), [(1.0, 30.0), (0.5, 0.0), (0.4, 90.0), (1.3, -40.0)])
 def test_light_and_exposure_do_not_matter(gain: float, offset: float) -> None:
     image = texture(2)

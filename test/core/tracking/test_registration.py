@@ -134,6 +134,11 @@ def test_the_default_patience_arrives_too() -> None:
     assert metres < 5 * NOISE_FREE_M and radians < 5 * NOISE_FREE_RAD
 
 
+def test_the_median_is_that_of_the_residuals_that_are_left() -> None:
+    found = registered(CORNER, T_WORLD_CAM)
+    assert found.median_chi2 == np.nanmedian(found.depth.chi2(found.T_world_cam))
+
+
 def test_a_wide_first_search_brings_in_what_is_far_off() -> None:
     """Three times as far: 6 cm and 6 degrees; it ends as narrow as any other."""
     start = T_WORLD_CAM @ se3.exp(3 * OFF)

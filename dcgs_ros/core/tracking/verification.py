@@ -36,7 +36,7 @@ _SETTLING = 0.1  # share by which a frame changes what is usual
 class Usual:
     """How well frames fit the map that were tracked well: an average over a third of a second."""
 
-    overlap: float = 0.87
+    overlap: float = 0.82
     chi2: float = 1.0  # median of the depth factors
     agreement: float = 1.0  # of the map with keyframes
     frames: int = 0  # that the average is over; what it begins with counts as none

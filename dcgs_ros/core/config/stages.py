@@ -120,13 +120,13 @@ class RegistrationConfig(Stage):
         'Smallest number of points matched with a Gaussian; with fewer the frame is lost.',
     )
     degenerate_m: float = ranged(
-        0.02,
+        0.03,
         1e-6,
         1,
         'Standard deviation of the position in its weakest direction above which the pose counts '
         'as degenerate, metres ...',
     )
-    degenerate_rad: float = ranged(0.03, 1e-6, 1, '... and of the rotation, radians.')
+    degenerate_rad: float = ranged(0.045, 1e-6, 1, '... and of the rotation, radians.')
 
 
 @dataclass(frozen=True)

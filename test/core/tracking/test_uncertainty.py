@@ -269,12 +269,24 @@ def test_the_bias_moves_the_pose_as_claimed() -> None:
     assert 0.7 < np.trace(scatter[3:, 3:]) / np.trace(claimed[3:, 3:]) < 1.3
 
 
+def test_what_is_left_out_widens_the_claim_and_loosens_its_cross_terms() -> None:
+    alone = uncertainty(CORNER)
+    claimed = alone.covariance(0.0, 0.0, np.zeros(6))
+    np.testing.assert_allclose(claimed[:3, :3], 2.0 * alone.noise[:3, :3])
+    np.testing.assert_allclose(claimed[3:, 3:], 2.0 * alone.noise[3:, 3:])
+    np.testing.assert_allclose(claimed[:3, 3:], 1.6 * alone.noise[:3, 3:])
+    assert np.linalg.eigvalsh(claimed)[0] > 0
+
+
 def test_depth_that_comes_late_moves_the_pose_by_its_share() -> None:
     """Without an image all of the way; with one less."""
     twist = np.array([0.2, 0.1, -0.3, 0.1, 0.4, 0.2])
     alone = uncertainty(CORNER)
-    grown = alone.covariance(0.0, 0.01, twist) - alone.noise
-    np.testing.assert_allclose(grown, 1e-4 * np.outer(twist, twist), rtol=1e-3, atol=1e-12)
+    grown = alone.covariance(0.0, 0.01, twist) - alone.covariance(0.0, 0.0, twist)
+    expected = 2.0 * 1e-4 * np.outer(twist, twist)
+    expected[:3, 3:] *= 0.8
+    expected[3:, :3] *= 0.8
+    np.testing.assert_allclose(grown, expected, rtol=1e-3, atol=1e-12)
     held = uncertainty(WALL, image=landmarks())
     follows = held.follows_depth @ np.array([1.0, 0, 0, 0, 0, 0])
     assert abs(follows[0]) < 0.2  # a wall does not see the motion along itself

@@ -28,6 +28,7 @@ from .registration import DepthTerm, Registration, register, start_from_landmark
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
 _SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the pose
 _FAR_SIGMAS = 3.0  # of a hand's acceleration: beyond, likewise
+_CLEARLY = 1.1  # by which depth alone must fit better
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ def estimate(
     found = registered_from(start, image)
     if image is not None and _misled(found, prior, memory):
         alone = registered_from(_start(frame, memory, prior, None, config), None)
-        if alone.overlap > found.overlap and _jump(alone, prior) < _jump(found, prior):
+        fits = alone.overlap > _CLEARLY * found.overlap  # on a plane depth fits anywhere
+        if fits and _jump(alone, prior) < _jump(found, prior):
             found = replace(alone, image=image)
 
     T = found.T_world_cam

@@ -27,6 +27,7 @@ _CHI2_RISE = 3.0  # of the usual median of depth's residuals; at most 2.4 there
 _DOUBTFUL_RISE = 1.8
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
+_SOME = 20  # landmarks; fewer may be noise
 _SUPPORT, _MANY = 0.8, 50  # share and number of consistent landmarks
 _ROWS_APART = 16  # these rows tell most images apart, before all are compared
 _SETTLING = 0.1  # share by which a frame changes what is usual
@@ -85,7 +86,7 @@ class Evidence:
         that agree outweigh a doubt, and a knock is a jump that they confirm.
         """
         jumps = self.jump_sigmas > _DOUBTFUL_SIGMAS
-        dissent = self.consistent < _DISSENT
+        dissent = self.consistent < _DISSENT and self.landmarks >= _SOME
         support = self.consistent > _SUPPORT and self.landmarks >= _MANY
         return (
             (self.jump_sigmas > JUMP_SIGMAS and not support)

@@ -22,7 +22,7 @@ from dcgs_ros.datasets.synthetic.source import SyntheticSource
 SEEN = 5  # frames that were tracked before the one that is weighed
 SOURCE = SyntheticSource.from_address('synthetic:room?frames=8&sensor=kinect')
 FINE = Evidence(1.0, 1.0, 1.0, 1.0, 1.0, 100)
-FEW, MANY = 10, 100  # landmarks
+FEW, MANY = 30, 100  # landmarks
 
 
 def evidence(
@@ -282,3 +282,10 @@ def test_a_repetition_is_bit_by_bit_the_same() -> None:
     grey = frame.color[..., 0]
     assert is_repetition(replace(frame, color=grey.copy()), replace(frame, color=grey))
     assert not is_repetition(replace(frame, color=grey), frame)
+
+
+def test_a_few_landmarks_are_no_dissent() -> None:
+    """Four corners of noise on a wall disagree with anything."""
+    handful = evidence(jump=4.0, consistent=0.0, landmarks=4)
+    assert not handful.contradicts
+    assert replace(handful, landmarks=FEW).contradicts

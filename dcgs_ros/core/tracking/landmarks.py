@@ -237,7 +237,7 @@ def _depth_at(depth, pixels, noise_a, noise_b):
         for dy in range(-1, 2):
             for dx in range(-1, 2):
                 z = depth[y + dy, x + dx]
-                if z > 0.0:
+                if 0.0 < z < np.inf:
                     total += z
                     n += 1
                     nearest, farthest = min(nearest, z), max(farthest, z)

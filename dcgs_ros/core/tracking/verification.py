@@ -28,6 +28,7 @@ _DOUBTFUL_RISE = 1.8
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
 _SOME = 20  # landmarks; fewer may be noise
+_VANISHED = 0.2  # share of many landmarks that are found again; at least 0.36 there
 _SUPPORT, _MANY = 0.8, 50  # share and number of consistent landmarks
 _ROWS_APART = 16  # these rows tell most images apart, before all are compared
 _SETTLING = 0.1  # share by which a frame changes what is usual
@@ -68,6 +69,7 @@ class Evidence:
     chi2_ratio: float  # median of the depth factors, to the usual one
     consistent: float  # share of the landmarks that agree with the pose; 1: there are none
     landmarks: int
+    kept: float = 1.0  # share of the last image's landmarks that were found in this one
 
     @property
     def misfits(self) -> bool:
@@ -87,11 +89,12 @@ class Evidence:
         """
         jumps = self.jump_sigmas > _DOUBTFUL_SIGMAS
         dissent = self.consistent < _DISSENT and self.landmarks >= _SOME
+        other_view = dissent or self.kept < _VANISHED
         support = self.consistent > _SUPPORT and self.landmarks >= _MANY
         return (
             (self.jump_sigmas > JUMP_SIGMAS and not support)
             or self.chi2_ratio > _CHI2_RISE
-            or jumps + dissent + self.misfits - support >= 2
+            or jumps + other_view + self.misfits - support >= 2
         )
 
     @property
@@ -131,7 +134,10 @@ def weigh(
     if result.image is not None:
         consistent = float(np.mean(result.image.chi2(T) < config.landmarks.drop_chi2))
     jump = jump_sigmas(T, memory.motion.prior(frame.stamp_ns), uncertain)
-    return Evidence(jump, overlap, agreement, chi2, consistent, len(found.landmarks))
+    kept, before = 1.0, len(memory.landmarks)
+    if found.fresh and before >= _MANY:
+        kept = len(found.landmarks) / before
+    return Evidence(jump, overlap, agreement, chi2, consistent, len(found.landmarks), kept)
 
 
 def jump_sigmas(

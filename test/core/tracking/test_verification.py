@@ -289,3 +289,17 @@ def test_a_few_landmarks_are_no_dissent() -> None:
     handful = evidence(jump=4.0, consistent=0.0, landmarks=4)
     assert not handful.contradicts
     assert replace(handful, landmarks=FEW).contradicts
+
+
+def test_landmarks_that_vanish_at_once_are_a_doubt_like_dissent() -> None:
+    """A cut to another view leaves few; so does a dark image, where the map still fits."""
+    cut = replace(evidence(overlap=0.6, agreement=0.5, landmarks=4), kept=0.05)
+    assert cut.contradicts
+    assert not replace(cut, kept=0.5).contradicts
+    assert not replace(cut, overlap_ratio=1.0).contradicts
+
+
+def test_the_share_of_landmarks_that_are_kept_is_told() -> None:
+    memory = tracker()._memory
+    assert weighed(found()).kept == pytest.approx(len(found().landmarks) / len(memory.landmarks))
+    assert weighed(replace(found(), fresh=False)).kept == 1.0

@@ -58,7 +58,7 @@ class Relocalizer:
         if (
             result.overlap >= self._wanted * usual.overlap
             and agreement >= _AGREEMENT * usual.agreement
-            and result.median_chi2 <= _CHI2 * usual.chi2
+            and result.median_chi2 <= _CHI2 * usual.expected_chi2
         ):
             return True
         self._wanted = max(self._wanted - _PATIENCE, _AT_LEAST)

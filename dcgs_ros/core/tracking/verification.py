@@ -25,6 +25,7 @@ _OVERLAP_DROP = 0.85  # of the last frame's overlap: below, the agreement tells 
 _DISAGREEMENT = 0.8  # of the usual agreement
 _CHI2_RISE = 3.0  # of the usual median of depth's residuals; at most 2.4 there
 _DOUBTFUL_RISE = 1.8
+_CHI2_OF_NOISE = 0.5  # the least usual value of a real sensor
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
 _SOME = 20  # landmarks; fewer may be noise
@@ -42,6 +43,11 @@ class Usual:
     chi2: float = 1.0  # median of the depth factors
     agreement: float = 1.0  # of the map with keyframes
     frames: int = 0  # that the average is over; what it begins with counts as none
+
+    @property
+    def expected_chi2(self) -> float:
+        """`chi2`, or what noise would make of it if that is more: rendered depth has none."""
+        return max(self.chi2, _CHI2_OF_NOISE)
 
     def with_frame(self, found: Registration) -> Usual:
         """Return the average with one more frame."""
@@ -126,7 +132,7 @@ def weigh(
     overlap = agreement = chi2 = consistent = 1.0
     if found.sees_depth(config):
         overlap = result.overlap / max(memory.overlap, 1e-9)
-        chi2 = result.median_chi2 / usual.chi2
+        chi2 = result.median_chi2 / usual.expected_chi2
         if overlap < _OVERLAP_DROP:
             T_depth = T @ registered.T_cam_cam_at_depth
             share = gaussians.agreement(T_depth, frame.depth_m, camera, config.sensor)

@@ -171,14 +171,21 @@ def test_a_jump_is_counted_in_sigmas_of_the_prediction(sigmas: float, axis: int)
 
 
 def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:
-    usual, memory = tracker()._usual, tracker()._memory
+    usual, memory = replace(tracker()._usual, chi2=2.0), tracker()._memory
     half = weighed(
         memory=replace(memory, overlap=2.0 * memory.overlap),
         usual=replace(usual, chi2=0.5 * usual.chi2),
     )
     assert half.overlap_ratio == pytest.approx(0.5 * weighed().overlap_ratio)
-    assert half.chi2_ratio == pytest.approx(2.0 * weighed().chi2_ratio)
-    assert weighed().chi2_ratio == pytest.approx(found().registration.median_chi2 / usual.chi2)
+    whole = weighed(usual=usual)
+    assert half.chi2_ratio == pytest.approx(2.0 * whole.chi2_ratio)
+    assert whole.chi2_ratio == pytest.approx(found().registration.median_chi2 / usual.chi2)
+
+
+def test_residuals_that_noise_would_leave_are_none_to_speak_of() -> None:
+    """Rendered depth fits to a thousandth of its sigma; ten thousandths are no contradiction."""
+    perfect = weighed(usual=replace(tracker()._usual, chi2=1e-3))
+    assert perfect.chi2_ratio == pytest.approx(found().registration.median_chi2 / 0.5)
 
 
 def test_the_agreement_is_asked_for_only_where_the_overlap_falls() -> None:

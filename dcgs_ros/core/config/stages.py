@@ -79,7 +79,7 @@ class LandmarkConfig(Stage):
         0.8, 0, 1, 'Share of the landmarks of the last detection below which more are detected.'
     )
     min_factors: int = ranged(
-        4, 1, 5000, 'Smallest number of landmarks that a pose is estimated with.'
+        10, 1, 5000, 'Smallest number of landmarks that a pose is estimated with.'
     )
     min_start: int = ranged(
         20, 6, 5000, 'Smallest number of landmarks from which the registration can start.'

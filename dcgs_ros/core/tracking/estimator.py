@@ -28,6 +28,7 @@ from .registration import DepthTerm, Registration, register, start_from_landmark
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
 _SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the pose
 _FAR_SIGMAS = 3.0  # of a hand's acceleration: beyond, likewise
+_FEWEST = 4  # landmarks: three determine a pose, one more shows a contradiction
 _CLEARLY = 1.1  # by which depth alone must fit better
 
 
@@ -76,7 +77,8 @@ class Estimate:
 
     registered: RegisteredFrame
     registration: Registration
-    landmarks: Landmarks  # those followed into the frame: the image factors' own, if any
+    landmarks: Landmarks  # those followed into the frame
+    image: PointFactors | None  # their measurements, though they be too few for the pose
     fresh: bool  # whether its colour image is another than the last one's
 
     def is_trusted(self, config: Config) -> bool:
@@ -93,9 +95,9 @@ class Estimate:
 
     def consistent_landmarks(self, max_chi2: float) -> Landmarks:
         """Return the landmarks that do not contradict the pose: a moving corner does."""
-        if self.registration.image is None or not self.fresh:
+        if self.image is None:
             return self.landmarks
-        return self.landmarks[self.registration.image.chi2(self.registered.T_world_cam) < max_chi2]
+        return self.landmarks[self.image.chi2(self.registered.T_world_cam) < max_chi2]
 
 
 def estimate(
@@ -110,7 +112,8 @@ def estimate(
 
     # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
     landmarks = _followed(grey, memory, prior, camera, config) if fresh else memory.landmarks
-    image = _measured(landmarks, frame, memory, prior, camera, config) if fresh else None
+    measured = _measured(landmarks, frame, memory, prior, camera, config) if fresh else None
+    image = measured if len(landmarks) >= config.landmarks.min_factors else None
 
     # The landmarks alone give a start, where there are enough.
     start = _start(frame, memory, prior, image, config)
@@ -132,7 +135,7 @@ def estimate(
     registered = RegisteredFrame(
         frame, T, memory.depth_motion(frame, T), grey, memory.depth_twist(frame, T)
     )
-    return Estimate(registered, found, landmarks, fresh)
+    return Estimate(registered, found, landmarks, measured, fresh)
 
 
 def _jump(found: Registration, prior: PosePrior) -> float:
@@ -193,8 +196,8 @@ def _measured(
     camera: PinholeCamera,
     config: Config,
 ) -> PointFactors | None:
-    """Return the factors of the landmarks, if there are enough: a few may be noise."""
-    if len(landmarks) < config.landmarks.min_factors:
+    """Return the factors of the landmarks, if there are enough to tell anything."""
+    if len(landmarks) < _FEWEST:
         return None
     T = prior.T_world_cam
     weight = config.shared_klt_weight if config.ablation == 'shared_klt' else 1.0

@@ -166,6 +166,16 @@ class PointFactors:
         equations = _weighted(sums, self.weight)
         return equations if self.Q is None else equations.limited(self.Q), chi2
 
+    def __getitem__(self, keep: NDArray[np.bool_]) -> PointFactors:
+        """Return the factors of a mask."""
+        normals, map_normals = (
+            None if n is None else n[keep] for n in (self.normals, self.map_normals)
+        )
+        return replace(
+            self, points=self.points[keep], covariances=self.covariances[keep],
+            targets=self.targets[keep], normals=normals, map_normals=map_normals,
+        )  # fmt: skip
+
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
         """Return the sums of J^T Omega^-1 J and J^T Omega^-1 e, J = [I, -[a]x], Huber weighted."""
         return self.evaluated(T_world_cam)[0]

@@ -34,6 +34,8 @@ from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigm
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
+_AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move, or be noise
+_LEAST_VARIANCE = 1e-10  # of shared covariances' residuals: perfect depth leaves none
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
 
@@ -265,7 +267,7 @@ class Tracker:
         T = best.T_world_cam
         grey = to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6))
-        found = Estimate(registered, best, Landmarks.none(), True)
+        found = Estimate(registered, best, Landmarks.none(), None, True)
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
@@ -302,8 +304,9 @@ class Tracker:
                 self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
-        if result.image is not None:  # depth and image, each alone, tell the offset between them
-            image = result.image.across_rays().normal_equations(T)
+        if found.image is not None:  # depth and image, each alone, tell the offset between them
+            agreeing = found.image[found.image.chi2(T) < _AGREEING_CHI2]
+            image = agreeing.across_rays().normal_equations(T)
             twist = memory.motion.arriving(T, stamp_ns).twist_after(memory.lag_s(registered.frame))
             dt_s = (stamp_ns - memory.motion.stamp_ns) * 1e-9
             self._offset.observe(result.sharp_depth, image, twist, dt_s)
@@ -371,7 +374,7 @@ class Tracker:
     def _uncertainty(self, found: Registration) -> PoseUncertainty:
         variance = 1.0
         if self.config.shares_covariance:  # not metric: scaled by the residual
-            variance = found.sharp_depth.cost / max(found.inliers - 6, 1)
+            variance = max(found.sharp_depth.cost / max(found.inliers - 6, 1), _LEAST_VARIANCE)
         return pose_uncertainty(found, self.camera, variance)
 
     def _result(

@@ -74,7 +74,7 @@ class Evidence:
     agreement_ratio: float  # of the map with the frame, to the usual one; 1 if overlap is kept
     chi2_ratio: float  # median of the depth factors, to the usual one
     consistent: float  # share of the landmarks that agree with the pose; 1: there are none
-    landmarks: int
+    landmarks: int  # followed into the frame
     kept: float = 1.0  # share of the last image's landmarks that were found in this one
 
     @property

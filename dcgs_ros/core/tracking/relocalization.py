@@ -19,6 +19,7 @@ _TRIES = 3  # poses a frame: what real time has room for
 # frame in which nothing is found.
 _OVERLAP, _AT_LEAST, _PATIENCE = 0.85, 0.7, 0.005
 _AGREEMENT = 0.87
+_REFINEMENTS = 4  # of the best fit
 _CHI2 = 2.0  # most of the usual median of depth's residuals
 
 
@@ -46,7 +47,9 @@ class Relocalizer:
         starts = [*guesses, *self._some()]
         found = (register(T, depth, None, config, settings.guess_radius_m) for T in starts)
         best = max(found, key=lambda result: result.overlap)
-        return register(best.T_world_cam, depth, None, config, settings.radius_m)
+        for _ in range(_REFINEMENTS):  # from far away one registration does not arrive
+            best = register(best.T_world_cam, depth, None, config, settings.radius_m)
+        return best
 
     def accepts(self, result: Registration, agreement: float) -> bool:
         """Return whether the camera is there; if not, the next frame has to explain a bit less.

@@ -185,7 +185,7 @@ def test_ratios_are_to_the_last_overlap_and_to_the_usual_residuals() -> None:
 def test_residuals_that_noise_would_leave_are_none_to_speak_of() -> None:
     """Rendered depth fits to a thousandth of its sigma; ten thousandths are no contradiction."""
     perfect = weighed(usual=replace(tracker()._usual, chi2=1e-3))
-    assert perfect.chi2_ratio == pytest.approx(found().registration.median_chi2 / 0.5)
+    assert perfect.chi2_ratio == pytest.approx(found().registration.median_chi2 / 0.2)
 
 
 def test_the_agreement_is_asked_for_only_where_the_overlap_falls() -> None:

@@ -93,7 +93,6 @@ class Registration:
     image: PointFactors | None
     equations: NormalEquations  # both terms, at T_world_cam
     sharp_depth: NormalEquations  # the depth term along the normals only
-    sharp: NormalEquations  # both terms, with that
     inliers: int  # points with a match
     hosts: NDArray[np.int32]  # (inliers,) keyframes of the Gaussians that they match
     median_chi2: float  # of the depth factors; infinite where none has a match
@@ -167,14 +166,12 @@ def register(
         search_m = max(0.5 * search_m, settings.radius_m)
     T = se3.orthonormalised(T)
     sharp_depth = pairs.along_normals(T)
-    sharp = sharp_depth if pairs.Q is None else sharp_depth.limited(pairs.Q)
     equations, chi2 = pairs.evaluated(T)
     if image is not None:
-        image_equations = image.normal_equations(T)
-        equations, sharp = equations + image_equations, sharp + image_equations
+        equations = equations + image.normal_equations(T)
     chi2, hosts = chi2[pairs.targets.perp >= 0], depth.hosts(pairs)
     median = float(np.median(chi2)) if len(chi2) else np.inf
-    return Registration(T, pairs, image, equations, sharp_depth, sharp, len(chi2), hosts, median)
+    return Registration(T, pairs, image, equations, sharp_depth, len(chi2), hosts, median)
 
 
 def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:

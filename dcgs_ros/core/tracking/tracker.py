@@ -24,7 +24,7 @@ from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
-from .observability import observability
+from .observability import Observability, observability
 from .propagation import BiasVariance, KeyframeChain, MotionLimit
 from .registration import DepthTerm, Registration
 from .relocalization import Relocalizer
@@ -272,7 +272,8 @@ class Tracker:
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
         uncertainty = self._uncertainty(best)
-        if self._is_degenerate(best, uncertainty, self._measured(uncertainty)):
+        spectrum = observability(best.equations.H, uncertainty.information)
+        if self._is_degenerate(spectrum, self._measured(uncertainty)):
             return self._lost(frame, best)  # it may be anywhere along that direction
         jump = jump_sigmas(T, motion.prior(frame.stamp_ns), self._in_doubt(uncertainty))
         if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
@@ -385,18 +386,17 @@ class Tracker:
         in_world = self._chain.in_world(registered.T_world_cam, covariance, result.hosts)
         if keyframe:
             self._chain.add(registered.T_world_cam, in_world)
+        spectrum = observability(result.equations.H, uncertainty.information)
         assert self._limit is not None
         state = TrackingState.OK
         if self._unconfirmed:
             state = TrackingState.RELOCALISED
-        elif self._is_degenerate(result, uncertainty, self._limit.covariance):
+        elif self._is_degenerate(spectrum, self._limit.covariance):
             state = TrackingState.DEGENERATE
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,
-            covariance, in_world, state,
-            observability(result.equations.H, uncertainty.information),
-            len(result.depth.points), result.inliers, len(self.landmarks), keyframe, self.flush(),
-            1e3 * self._offset.seconds,
+            covariance, in_world, state, spectrum, len(result.depth.points), result.inliers,
+            len(self.landmarks), keyframe, self.flush(), 1e3 * self._offset.seconds,
         )  # fmt: skip
 
     def _covariance(
@@ -424,12 +424,9 @@ class Tracker:
         before = np.zeros((6, 6)) if self._limit is None else self._limit.covariance
         return before + self._measured(uncertainty)
 
-    def _is_degenerate(
-        self, found: Registration, uncertainty: PoseUncertainty, covariance: NDArray[np.float64]
-    ) -> bool:
+    def _is_degenerate(self, spectrum: Observability, covariance: NDArray[np.float64]) -> bool:
         """Return whether a direction is not held, by this frame or by what is claimed of it."""
         limits = self.config.registration
-        spectrum = observability(found.equations.H, uncertainty.information)
         claimed_m, claimed_rad = (
             math.sqrt(np.linalg.eigvalsh(block)[-1])
             for block in (covariance[:3, :3], covariance[3:, 3:])

@@ -201,7 +201,7 @@ def test_a_plane_leaves_the_motion_within_it_to_the_landmarks() -> None:
 def test_the_weak_direction_shows_without_the_radius() -> None:
     """On one plane the radius alone carries shift in it; in a corner there is none."""
     for planes, flat in (((WALL,), True), (CORNER, False)):
-        sharp = registered(planes, T_WORLD_CAM).sharp.H
+        sharp = registered(planes, T_WORLD_CAM).sharp_depth.H
         eigenvalues = np.linalg.eigvalsh(sharp[:3, :3])
         assert (eigenvalues[0] < 1e-3 * eigenvalues[2]) == flat
 

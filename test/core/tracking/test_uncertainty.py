@@ -73,12 +73,12 @@ def pairs_of(
 def registered(depth: PointFactors, image: PointFactors | None = None) -> Registration:
     """Pairs as if they had been registered at T_WORLD_CAM."""
     sharp_depth = depth.along_normals(T_WORLD_CAM)
-    equations = sharp = sharp_depth
+    equations = sharp_depth
     if image is not None:
-        equations = sharp = sharp_depth + image.normal_equations(T_WORLD_CAM)
+        equations = sharp_depth + image.normal_equations(T_WORLD_CAM)
     n = len(depth.points)
     return Registration(
-        T_WORLD_CAM, depth, image, equations, sharp_depth, sharp, n, np.zeros(n, np.int32), 1.0
+        T_WORLD_CAM, depth, image, equations, sharp_depth, n, np.zeros(n, np.int32), 1.0
     )
 
 

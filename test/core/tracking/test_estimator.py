@@ -5,40 +5,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tracked_room import SEEN, SOURCE, frames, tracker  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
-from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
 from dcgs_ros.core.tracking.factors import Targets
 from dcgs_ros.core.tracking.landmarks import Landmarks
-from dcgs_ros.core.tracking.tracker import Tracker
-from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
-SEEN = 5  # frames that were tracked before the one that is estimated
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.5)  # of the truth
 MISLED_M = 0.05  # off where most landmarks lie together
-SOURCE = SyntheticSource.from_address('synthetic:room?frames=8&sensor=kinect')
-
-
-@cache
-def frames() -> tuple[RgbdFrame, ...]:
-    return tuple(SOURCE)
-
-
-@cache
-def tracker() -> Tracker:
-    """Return a tracker that has seen the first frames; no test lets it see another."""
-    made = Tracker(SOURCE.camera, replace(Config(), sensor=SOURCE.sensor))
-    for frame in frames()[:SEEN]:
-        made.track(frame)
-    return made
 
 
 def estimated(memory: Memory, frame: RgbdFrame | None = None) -> Estimate:

@@ -10,17 +10,12 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tracked_room import SEEN, frames, tracker  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
-from dcgs_ros.core.config.stages import Config
-from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
-from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.core.tracking.verification import Evidence, Usual, is_repetition, weigh
-from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
-SEEN = 5  # frames that were tracked before the one that is weighed
-SOURCE = SyntheticSource.from_address('synthetic:room?frames=8&sensor=kinect')
 FINE = Evidence(1.0, 1.0, 1.0, 1.0, 1.0, 100)
 FEW, MANY = 30, 100  # landmarks
 
@@ -108,20 +103,6 @@ def test_many_landmarks_that_agree_outweigh_a_doubt() -> None:
 
 
 # What the evidence is, of a frame that was tracked in the room.
-
-
-@cache
-def frames() -> tuple[RgbdFrame, ...]:
-    return tuple(SOURCE)
-
-
-@cache
-def tracker() -> Tracker:
-    """Return a tracker that has seen the first frames; no test lets it see another."""
-    made = Tracker(SOURCE.camera, replace(Config(), sensor=SOURCE.sensor))
-    for frame in frames()[:SEEN]:
-        made.track(frame)
-    return made
 
 
 @cache

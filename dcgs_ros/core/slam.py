@@ -55,7 +55,7 @@ class Lockstep:
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
         """Hand a frame over."""
-        self._arrived += self._selector.select(frame, result)
+        self._arrived += self._selector.select(self._tracker.corrected(frame), result)
 
     def advance(self) -> None:
         """Insert what arrived, take the steps that are due, and update the tracker."""
@@ -102,7 +102,7 @@ class Online:
         """Hand a frame over; take the mapper's newest answer. Raises what the mapper raised."""
         if self._failure is not None:
             raise self._failure
-        for posed in self._selector.select(frame, result):
+        for posed in self._selector.select(self._tracker.corrected(frame), result):
             self._arrived.put(posed)
         if not self._answers.empty():
             self._tracker.apply(self._answers.get())

@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -59,6 +60,9 @@ class FakeTracker:
     def flush(self) -> tuple[Keyframe, ...]:
         held, self.held = tuple(self.held), []
         return held
+
+    def corrected(self, frame: RgbdFrame) -> RgbdFrame:
+        return replace(frame, depth_m=2.0 * frame.depth_m)
 
     def apply(self, update: MapUpdate) -> None:
         self.removed += update.removed.tolist()
@@ -162,6 +166,13 @@ def test_after_alone_does_no_work() -> None:
     assert mapper.log == []
     mapping.advance()
     assert mapper.log[0] == 'insert 0'
+
+
+def test_views_between_keyframes_have_the_depth_that_the_tracker_believes() -> None:
+    tracker, mapper = FakeTracker(), FakeMapper(view_interval=1)
+    follow(lockstep(tracker, mapper), tracker, frames=4, keyframes={0})
+    between = [posed for posed in mapper.views if posed.frame.stamp_ns]
+    assert between and all((posed.frame.depth_m == 2.0).all() for posed in between)
 
 
 def test_the_final_steps_replay_with_falling_rates_and_tell_how_many_are_left() -> None:

@@ -26,7 +26,12 @@ from .images import color_of, depth_of, image_size, is_compressed
 from .recording import custom_data
 from .topics import CameraTopics, camera_topics, viewer_stream
 
-_SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
+_SENSOR_ADDED = {
+    'depth_bias',
+    'depth_readout_ms',
+    'color_readout_ms',
+    'stamp_ms',
+}  # older recordings lack them
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 _MM_PER_M = 1000.0

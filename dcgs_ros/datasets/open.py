@@ -12,6 +12,7 @@ from . import custom, icl_nuim, replica, seven_scenes
 from .bag import source as bag
 from .bag.storage.files import is_bag
 from .bag.topics import split_topics
+from .options import AS_STORED, SourceOptions, split_options
 from .scannet import source as scannet
 from .source import Source, SourceError
 from .tum import source as tum
@@ -22,7 +23,8 @@ class Format(NamedTuple):
 
     layout: str  # the files it consists of, for the message about an unknown format
     recognises: Callable[[Path], bool]  # by file names alone, without reading any content
-    open: Callable[[Path, str | None, Path | str | None], Source]  # camera, ground truth
+    # Takes camera, ground truth and what the user says besides.
+    open: Callable[[Path, str | None, Path | str | None, SourceOptions], Source]
 
 
 # The first format that recognises a path opens it, so specific ones come before general ones.
@@ -38,27 +40,35 @@ FORMATS = (
 
 
 def open_source(
-    address: str, camera: str | None = None, groundtruth: Path | str | None = None
+    address: str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> Source:
     """Open `synthetic:NAME[?key=value&...]`, or a sequence in one of the formats.
 
-    A recording's path may be followed by its topics: `?color=TOPIC&depth=TOPIC`. `camera` is the
-    name of a preset, or intrinsics as `parse_intrinsics` takes them; `groundtruth` is a trajectory
-    file that replaces the dataset's own. Raises a `DcgsError` that says what was expected.
+    A recording's path may be followed by its topics: `?color=TOPIC&depth=TOPIC`, any path by
+    options: `?depth_per_metre=1000`. `camera` is the name of a preset, or intrinsics as
+    `parse_intrinsics` takes them; `groundtruth` is a trajectory file that replaces the dataset's
+    own; `options` go before those in the address. Raises a `DcgsError` that says what was
+    expected.
     """
     if address.startswith('synthetic:'):
-        if camera is not None or groundtruth is not None:
-            raise SourceError(f'{address} brings its own camera and ground truth: give neither')
+        if camera is not None or groundtruth is not None or options != AS_STORED:
+            raise SourceError(
+                f'{address} brings its own camera, depth, stamps and ground truth: give none'
+            )
         from .synthetic.source import SyntheticSource  # the ray caster, which no dataset needs
 
         return SyntheticSource.from_address(address)
+    address, options = split_options(address, options)
     path, color, depth = split_topics(address)
     if color is None and depth is None:
         for format_ in FORMATS:
             if format_.recognises(path):
-                return format_.open(path, camera, groundtruth)
+                return format_.open(path, camera, groundtruth, options)
     if is_bag(path):
-        return bag.BagSource(path, camera, groundtruth, color, depth)
+        return bag.BagSource(path, camera, groundtruth, color, depth, options)
     if not path.exists():
         raise SourceError(
             f'{address}: no such folder or file, and no address that begins with synthetic:'

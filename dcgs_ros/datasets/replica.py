@@ -14,12 +14,16 @@ from ..io.trajectory import read_tum
 from .camera_presets import PRESETS, CameraPreset
 from .images.indexed_frames import indexed_trajectory, pair_by_index
 from .images.sequence import ImageSequence
+from .options import AS_STORED, SourceOptions
 from .parsing.intrinsics import camera_from_fields, choose_camera
 from .parsing.pose_matrices import parse_matrix
 from .parsing.text_files import depth_unit_at, read_text
 from .source import SourceError
 
-LAYOUT = "results/ with frame000000.jpg, depth000000.png ..., and traj.txt (NICE-SLAM's Replica)"
+LAYOUT = (
+    'results/ with frame000000.jpg (or .png), depth000000.png ..., and traj.txt '
+    "(NICE-SLAM's Replica)"
+)
 
 _CAMERA_FILE = 'cam_params.json'
 _CAMERA_KEYS = ('w', 'h', 'fx', 'fy', 'cx', 'cy')
@@ -29,11 +33,14 @@ _MAX_TRAJECTORY_BYTES = 2**28
 
 def is_replica(path: Path) -> bool:
     """Return whether the path is a scene's folder."""
-    return any(True for _ in path.glob('results/frame[0-9][0-9][0-9][0-9][0-9][0-9].jpg'))
+    return any(True for _ in path.glob('results/frame[0-9][0-9][0-9][0-9][0-9][0-9].[jp][pn]g'))
 
 
 def open_replica(
-    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> ImageSequence:
     """Open a scene's folder; frame i is at i / 30 s.
 
@@ -44,10 +51,16 @@ def open_replica(
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the line or key.
     """
     folder = Path(path)
-    pairs = pair_by_index(folder, r'results/frame([0-9]{6})\.jpg', r'results/depth([0-9]{6})\.png')
-    chosen = choose_camera(camera, _own_camera(folder), folder, pairs)
-    truth = _read_truth(folder / 'traj.txt') if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.from_preset(folder, pairs, chosen, truth)
+    color, depth = r'results/frame([0-9]{6})\.(?:jpg|png)', r'results/depth([0-9]{6})\.png'
+    pairs = pair_by_index(folder, color, depth, options.rate_hz)
+    unit = options.depth_per_metre
+    chosen = choose_camera(camera, _own_camera(folder), folder, pairs, unit)
+    notes: list[str] = []
+    if groundtruth is None:
+        truth = _read_truth(folder / 'traj.txt', options.rate_hz)
+    else:
+        truth = read_tum(groundtruth, notes)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=notes)
 
 
 def _own_camera(folder: Path) -> CameraPreset:
@@ -76,7 +89,7 @@ def _camera_values(text: str) -> dict[str, Any]:
     return values
 
 
-def _read_truth(path: Path) -> Trajectory | None:
+def _read_truth(path: Path, rate_hz: float | None) -> Trajectory | None:
     """Read the poses; None if there is no such file."""
     if not path.exists():
         return None
@@ -87,4 +100,4 @@ def _read_truth(path: Path) -> Trajectory | None:
             poses[number] = parse_matrix(line)
         except ValueError as error:
             raise SourceError(f'{path}:{number + 1}: {error}') from None
-    return indexed_trajectory(path, poses)
+    return indexed_trajectory(path, poses, rate_hz)

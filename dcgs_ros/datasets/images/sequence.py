@@ -46,6 +46,7 @@ class ImageSequence:
     depth_per_metre: float  # raw value of a depth of one metre
     groundtruth: Trajectory | None = None
     register: Callable[[NDArray[np.uint8], NDArray[np.float32]], ColorDepth] = already_registered
+    notes: Sequence[str] = ()
 
     @classmethod
     def from_preset(
@@ -57,11 +58,12 @@ class ImageSequence:
         register: Callable[
             [NDArray[np.uint8], NDArray[np.float32]], ColorDepth
         ] = already_registered,
+        notes: Sequence[str] = (),
     ) -> ImageSequence:
         """Make a sequence with the preset's camera, noise and unit, named after its folder."""
         camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
         name = sequence_name(folder)
-        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register)
+        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register, notes)
 
     def __len__(self) -> int:
         """Return the number of pairs, readable or not."""

@@ -127,7 +127,7 @@ def test_the_report_holds_the_contract(room: Run) -> None:
             assert set(report[key]) == inner
     assert set(report) - set(CONTRACT) == {
         'skipped', 'dropped', 'interrupted', 'degenerate', 'address', 'camera',
-        'frames_s',
+        'frames_s', 'depth_per_metre', 'depth_in_range', 'warnings',
     }  # fmt: skip
     assert (report['source'], report['ablation']) == (ROOM, 'full')
     assert (report['address'], report['camera']) == (ROOM, None)
@@ -276,6 +276,8 @@ class MadeUp:
     name = 'made up'
     camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
     sensor = SensorNoise()
+    depth_per_metre = None
+    notes = ()
 
     def __init__(self, count: int, at: dict[int, Action]) -> None:
         self._count, self._at = count, at

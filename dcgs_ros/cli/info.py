@@ -17,6 +17,7 @@ from ..datasets.bag.source import BagSource
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source
+from ..datasets.undescribed.source import UndescribedError
 from ..evaluation.depth_range import DepthSurvey
 from .arguments import InfoArguments
 from .tables import Row, table
@@ -25,8 +26,12 @@ _SAMPLE = 60  # frames read, from the first
 
 
 def execute(arguments: InfoArguments) -> int:
-    """Print what the files and the first frames say; return the exit status."""
-    source = open_source(arguments.source, arguments.camera, None, arguments.options)
+    """Print what the files and the first frames say, or a dcgs.yaml that would read them."""
+    try:
+        source = open_source(arguments.source, arguments.camera, None, arguments.options)
+    except UndescribedError as error:
+        print(f'{error}\n\n{error.proposal}', end='')
+        return 0
     frames, bad = _sample(source)
     rows = [
         ('frames', f'{len(source)}; the following is from the first {len(frames) + len(bad)}'),

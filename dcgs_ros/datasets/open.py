@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from . import custom, icl_nuim, replica, seven_scenes
+from . import custom, icl_nuim, replica, seven_scenes, stray_scanner
 from .bag import source as bag
 from .bag.storage.files import is_bag
 from .bag.topics import split_topics
@@ -16,6 +16,7 @@ from .options import AS_STORED, SourceOptions, split_options
 from .scannet import source as scannet
 from .source import Source, SourceError
 from .tum import source as tum
+from .undescribed import source as undescribed
 
 
 class Format(NamedTuple):
@@ -33,9 +34,12 @@ FORMATS = (
     Format(custom.LAYOUT, custom.is_custom, custom.open_custom),
     Format(scannet.LAYOUT, scannet.is_scannet, scannet.open_scannet),
     Format(replica.LAYOUT, replica.is_replica, replica.open_replica),
+    Format(replica.LAYOUT_NERF, replica.is_semantic_nerf, replica.open_semantic_nerf),
+    Format(stray_scanner.LAYOUT, stray_scanner.is_stray_scanner, stray_scanner.open_stray_scanner),
     Format(seven_scenes.LAYOUT, seven_scenes.is_seven_scenes, seven_scenes.open_seven_scenes),
     Format(icl_nuim.LAYOUT, icl_nuim.is_icl_nuim, icl_nuim.open_icl_nuim),
     Format(tum.LAYOUT, tum.is_tum, tum.open_tum),
+    Format(undescribed.LAYOUT, undescribed.is_undescribed, undescribed.open_undescribed),
 )
 
 

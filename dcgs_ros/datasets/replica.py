@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Replica as rendered by NICE-SLAM: rooms without noise, with exact poses."""
+"""Replica as rendered by NICE-SLAM or Semantic-NeRF: rooms without noise, with exact poses."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ..core.camera import PinholeCamera
 from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
 from .camera_presets import PRESETS, CameraPreset
 from .images.indexed_frames import indexed_trajectory, pair_by_index
-from .images.sequence import ImageSequence
+from .images.sequence import ImageSequence, color_size
 from .options import AS_STORED, SourceOptions
 from .parsing.intrinsics import camera_from_fields, choose_camera
 from .parsing.pose_matrices import parse_matrix
@@ -25,6 +26,10 @@ LAYOUT = (
     "(NICE-SLAM's Replica)"
 )
 
+LAYOUT_NERF = 'rgb/rgb_0.png, depth/depth_0.png ..., and traj_w_c.txt (Semantic-NeRF, vMAP)'
+
+_NERF_DEPTH_PER_METRE = 1000.0
+_NERF_TRAJECTORY = 'traj_w_c.txt'
 _CAMERA_FILE = 'cam_params.json'
 _CAMERA_KEYS = ('w', 'h', 'fx', 'fy', 'cx', 'cy')
 _MAX_CAMERA_BYTES = 2**16
@@ -58,6 +63,43 @@ def open_replica(
     notes: list[str] = []
     if groundtruth is None:
         truth = _read_truth(folder / 'traj.txt', options.rate_hz)
+    else:
+        truth = read_tum(groundtruth, notes)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=notes)
+
+
+def is_semantic_nerf(path: Path) -> bool:
+    """Return whether the path is a sequence's folder in the layout of Semantic-NeRF."""
+    return all((path / name).is_dir() for name in ('rgb', 'depth')) and (
+        (path / _NERF_TRAJECTORY).is_file() or (path / 'rgb/rgb_0.png').is_file()
+    )
+
+
+def open_semantic_nerf(
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
+) -> ImageSequence:
+    """Open a sequence's folder; frame i is at i / 30 s.
+
+    The camera sees 90 degrees across, depth is in millimetres; `camera` and `groundtruth` replace
+    these and `traj_w_c.txt`. Raises `SourceError` (or `TrajectoryFileError`).
+    """
+    folder = Path(path)
+    color, depth = r'rgb/rgb_([0-9]{1,9})\.(?:png|jpg)', r'depth/depth_([0-9]{1,9})\.png'
+    pairs = pair_by_index(folder, color, depth, options.rate_hz)
+    width, height = color_size(folder, pairs)
+    center = ((width - 1) / 2, (height - 1) / 2)
+    own = CameraPreset(
+        PinholeCamera(width, height, width / 2, width / 2, *center),
+        PRESETS['replica'].sensor,
+        _NERF_DEPTH_PER_METRE,
+    )
+    chosen = choose_camera(camera, own, folder, pairs, options.depth_per_metre)
+    notes: list[str] = []
+    if groundtruth is None:
+        truth = _read_truth(folder / _NERF_TRAJECTORY, options.rate_hz)
     else:
         truth = read_tum(groundtruth, notes)
     return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=notes)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -74,7 +74,7 @@ def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
     latest_ns, late = -_STAMP_LIMIT_NS, 0
     for number, words in data_rows(path, scalar_last=True):
         try:
-            stamp_ns, row = _parse_pose(words)
+            stamp_ns, row = parse_pose(words)
             if stamp_ns in poses or (left_out is None and stamp_ns < latest_ns):
                 raise ValueError(
                     f'stamp {format_stamp_ns(stamp_ns)} does not come after '
@@ -94,12 +94,17 @@ def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
         raise TrajectoryFileError(f'{path}: holds no pose')
     if left_out is not None:
         left_out += _notes(path, faults, len(poses), late)
+    return trajectory_of(poses)
+
+
+def trajectory_of(poses: Mapping[int, Sequence[float]]) -> Trajectory:
+    """Return the trajectory of one pose or more, tx ty tz qx qy qz qw, by their stamps in ns."""
     stamps = sorted(poses)
     values = np.array([poses[stamp_ns] for stamp_ns in stamps])
-    T = np.tile(np.eye(4), (len(stamps), 1, 1))
-    T[:, :3, 3] = values[:, :3]
-    T[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
-    return Trajectory(np.array(stamps, dtype=np.int64), T)
+    T_world_cam = np.tile(np.eye(4), (len(stamps), 1, 1))
+    T_world_cam[:, :3, 3] = values[:, :3]
+    T_world_cam[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
+    return Trajectory(np.array(stamps, dtype=np.int64), T_world_cam)
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
@@ -174,8 +179,8 @@ def _notes(path: Path, faults: list[str], good: int, late: int) -> list[str]:
     return notes
 
 
-def _parse_pose(words: list[str]) -> tuple[int, list[float]]:
-    """Return stamp and seven numbers of one line; raises `ValueError` with what is wrong."""
+def parse_pose(words: Sequence[str]) -> tuple[int, list[float]]:
+    """Return stamp in ns and seven numbers of a line's words; raises `ValueError`."""
     if len(words) != 8:
         raise ValueError(f'{len(words)} columns, not 8 (stamp tx ty tz qx qy qz qw)')
     row = [float(word) for word in words[1:]]

@@ -20,11 +20,9 @@ from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
 from ...io.trajectory import read_tum
 from ..camera_presets import PRESETS
-from ..images.association import StampPair
 from ..images.color_resampling import ColorResampling
-from ..images.decoding import read_depth_file
 from ..images.indexed_frames import pair_by_index
-from ..images.sequence import ImageSequence, color_size
+from ..images.sequence import ImageSequence, color_size, depth_size
 from ..options import AS_STORED, SourceOptions
 from ..parsing.pose_matrices import read_matrix, read_pose, rigid_trajectory
 from ..source import BadFrame, ImuSample, Source, SourceError, sequence_name
@@ -157,7 +155,9 @@ def _open_folder(
     pairs = pair_by_index(folder, color, r'depth/([0-9]{1,9})\.png', options.rate_hz)
     intrinsic = _intrinsic(folder)
     K_depth = np.eye(3) if camera else read_matrix(_calibration(folder, 'depth'), side=3)
-    depth = make_depth_camera(intrinsic, camera, K_depth, _depth_size(folder, pairs))
+    depth = make_depth_camera(
+        intrinsic, camera, K_depth, depth_size(folder, [pair.depth.path for pair in pairs])
+    )
     register = make_resampling(
         intrinsic,
         read_matrix(_calibration(folder, 'color'), side=3),
@@ -174,16 +174,3 @@ def _open_folder(
         truth = rigid_trajectory(stamps_ns, np.array([read_pose(file) for file in files]))
     name, unit = sequence_name(path), options.depth_per_metre or _PRESET.depth_per_metre
     return ImageSequence(name, folder, pairs, depth, _PRESET.sensor, unit, truth, register, notes)
-
-
-def _depth_size(folder: Path, pairs: list[StampPair]) -> tuple[int, int]:
-    """Return width and height of the first readable depth image; raises `SourceError`."""
-    reason: object = 'there are no images'
-    for pair in pairs:
-        try:
-            height, width = read_depth_file(folder, pair.depth.path).shape
-        except FrameError as error:
-            reason = error
-        else:
-            return width, height
-    raise SourceError(f'{folder}: no readable depth image tells its size: {reason}')

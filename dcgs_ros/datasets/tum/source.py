@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from ...core.trajectory import Trajectory
 from ...io.trajectory import read_tum
 from ..camera_presets import PRESETS
 from ..images.sequence import ImageSequence
@@ -45,21 +46,34 @@ def open_tum(
     pairs, notes = read_pairs(folder, options)
     text = camera or _infer_camera(sequence_name(folder))
     preset = choose_camera(text, PRESETS['fr3'], folder, pairs, options.depth_per_metre)
-    if groundtruth is None:
-        defaults = (folder / f'groundtruth.{suffix}' for suffix in ('txt', 'csv'))
-        groundtruth = next((path for path in defaults if path.exists()), None)
     left_out = [*notes]
-    truth = None if groundtruth is None else read_tum(groundtruth, left_out)
+    truth = read_truth(folder, groundtruth, left_out)
     return ImageSequence.from_preset(folder, pairs, preset, truth, notes=left_out)
 
 
-def _infer_camera(name: str) -> str:
+def read_truth(folder: Path, given: Path | str | None, left_out: list[str]) -> Trajectory | None:
+    """Read the file `given`, else the folder's `groundtruth.txt` or `.csv`, if there is one.
+
+    What cannot be used of it is appended to `left_out`. Raises `TrajectoryFileError`.
+    """
+    defaults = (folder / f'groundtruth.{suffix}' for suffix in ('txt', 'csv'))
+    path = given or next((path for path in defaults if path.exists()), None)
+    return None if path is None else read_tum(path, left_out)
+
+
+def camera_in_name(name: str) -> str | None:
+    """Return the camera that the name of a sequence tells, None if it tells none."""
     if 'bonn' in name.lower():
         return 'bonn'
     match = re.search(r'(?:freiburg|fr)([123])(?!\d)', name.lower())
-    if match is None:
+    return None if match is None else f'fr{match[1]}'
+
+
+def _infer_camera(name: str) -> str:
+    camera = camera_in_name(name)
+    if camera is None:
         raise SourceError(
             f'{name}: the name does not tell the camera (fr1, fr2, fr3 or bonn); '
             f'give --camera {"|".join(PRESETS)} or --camera fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]'
         )
-    return f'fr{match[1]}'
+    return camera

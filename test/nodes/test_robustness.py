@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
-from camera import Camera, halved, shots
-from camera import shot as shot_of  # type: ignore[import-not-found]
+from camera import Camera, halved, shots  # type: ignore[import-not-found]
+from camera import shot as shot_of
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message

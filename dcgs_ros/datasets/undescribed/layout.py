@@ -15,7 +15,8 @@ _IMAGE = re.compile(r'\.(?:png|jpe?g)$', re.IGNORECASE)
 _NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?')
 _COLOR = re.compile(r'rgb|colou?r|image|img|left|cam')
 _OTHER = re.compile(r'mask|semantic|label|instance|normal|conf|seg|right|infra')
-_SINCE_1970_NS = 10**18  # names of that many nanoseconds are times; smaller whole ones are numbers
+_SINCE_2001_NS = 10**18  # whole numbers are stamps from here on, or with so many digits:
+_STAMP_DIGITS = 11
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class ImageFolders:
     color: str
     depth: str
     counts: tuple[int, int]  # of colour, of depth
-    stamped: bool  # the names are seconds, or nanoseconds since 1970
+    stamped: bool  # the names are times, not numbers
 
 
 def find_image_folders(folder: Path) -> ImageFolders | None:
@@ -67,4 +68,6 @@ def _are_stamps(names: list[str]) -> bool:
 
 
 def _is_stamp(stem: str) -> bool:
-    return '.' in stem or parse_stamp_ns(stem) >= _SINCE_1970_NS
+    stamp_ns = parse_stamp_ns(stem)
+    is_long = len(stem.lstrip('0')) >= _STAMP_DIGITS
+    return '.' in stem or is_long or stamp_ns >= _SINCE_2001_NS

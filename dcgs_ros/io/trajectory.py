@@ -68,25 +68,7 @@ def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
     lines none.
     """
     path = Path(path)
-    poses: dict[int, list[float]] = {}
-    faults: list[str] = []
-    latest_ns, late = -_STAMP_LIMIT_NS, 0
-    for number, words in data_rows(path, scalar_last=True):
-        try:
-            stamp_ns, row = parse_pose(words)
-            if stamp_ns in poses or (left_out is None and stamp_ns < latest_ns):
-                raise ValueError(
-                    f'stamp {format_stamp_ns(stamp_ns)} does not come after '
-                    f'{format_stamp_ns(latest_ns)}'
-                )
-        except ValueError as error:
-            faults.append(f'{path}:{number}: {error}')
-            if left_out is None:
-                break
-            continue
-        late += stamp_ns < latest_ns
-        latest_ns = max(latest_ns, stamp_ns)
-        poses[stamp_ns] = row
+    poses, faults, late = _read_poses(path, strict=left_out is None)
     if faults and (left_out is None or len(faults) > len(poses)):
         raise TrajectoryFileError(faults[0])
     if not poses:
@@ -94,6 +76,33 @@ def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
     if left_out is not None:
         left_out += _notes(path, faults, len(poses), late)
     return trajectory_of(poses)
+
+
+def _read_poses(path: Path, strict: bool) -> tuple[dict[int, list[float]], list[str], int]:
+    """Return poses by their stamps, the faults of lines, and how many came late.
+
+    If it is `strict`, a late one is a fault, and nothing is read after the first.
+    """
+    poses: dict[int, list[float]] = {}
+    faults: list[str] = []
+    latest_ns, late = -_STAMP_LIMIT_NS, 0
+    for number, words in data_rows(path, scalar_last=True):
+        try:
+            stamp_ns, row = parse_pose(words)
+            if stamp_ns in poses or (strict and stamp_ns < latest_ns):
+                raise ValueError(
+                    f'stamp {format_stamp_ns(stamp_ns)} does not come after '
+                    f'{format_stamp_ns(latest_ns)}'
+                )
+        except ValueError as error:
+            faults.append(f'{path}:{number}: {error}')
+            if strict:
+                break
+            continue
+        late += stamp_ns < latest_ns
+        latest_ns = max(latest_ns, stamp_ns)
+        poses[stamp_ns] = row
+    return poses, faults, late
 
 
 def trajectory_of(poses: Mapping[int, Sequence[float]]) -> Trajectory:

@@ -44,6 +44,18 @@ def find_image_folders(folder: Path) -> ImageFolders | None:
     return ImageFolders(color, depth, (len(groups[color]), len(groups[depth])), stamped)
 
 
+def why_unreadable(path: Path) -> str | None:
+    """Return what is known of a recording that cannot be read, and the remedy; else None."""
+    is_record3d = path.suffix == '.r3d'
+    if is_record3d or (path.is_dir() and any(path.glob('*/*.exr'))):
+        kind = 'LZFSE' if is_record3d else 'OpenEXR'
+        return (
+            f'{path} holds depth as {kind} (Record3D), which is not read: convert it to 16-bit '
+            'PNGs beside the colour images, and describe them in a dcgs.yaml (docs/datasets.md)'
+        )
+    return None
+
+
 def _groups(folder: Path) -> dict[str, list[str]]:
     """Return the names of images by their pattern, in which each number is a star."""
     groups: dict[str, list[str]] = {}

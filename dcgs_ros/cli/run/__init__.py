@@ -93,6 +93,10 @@ def _lost(record: RunRecord, folder: Path) -> str:
             f'{len(record.skipped)} are skipped; the first: {first.name}: {first.reason}'
         )
     causes += record.warnings
+    if record.depth_summary is not None and not any(
+        warning.startswith(record.depth_summary) for warning in record.warnings
+    ):
+        causes.append(record.depth_summary)
     return (
         f'nothing was tracked: {". ".join(causes)}. Check depth, intrinsics and pairing with '
         f'`dcgs info`. What was written is in {folder}'

@@ -89,6 +89,7 @@ class Session:
         """Warn if the depth is hardly where the sensor measures: its unit may be wrong."""
         record, sensor = self._record, self._pipeline.tracker.config.sensor
         record.depth_in_range = record.depth.share(sensor)
+        record.depth_summary = record.depth.summary(sensor, record.depth_per_metre)
         self._warn(record.depth.warning(sensor, record.depth_per_metre))
 
     def _warn(self, text: str | None) -> None:

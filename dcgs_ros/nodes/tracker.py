@@ -110,7 +110,8 @@ class TrackerNode(Node):
 
     def _track(self, pair: ImagePair[Image, Image], camera: PinholeCamera) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
-        frame, camera_frame = read_frame(pair), pair.color.header.frame_id
+        per_metre = self._params.settings.node.depth_per_metre
+        frame, camera_frame = read_frame(pair, per_metre), pair.color.header.frame_id
         session, to_base = self._session, self._outputs.camera_to_base(camera_frame)
         session.T_world_first = to_base.T_base_cam
         epoch = session.epoch

@@ -125,11 +125,18 @@ def test_two_truths_are_one_too_many(living_room: Path) -> None:
         open_icl_nuim(living_room)
 
 
+def test_rows_may_be_in_any_order_and_repeated(living_room: Path) -> None:
+    path = living_room / 'associations.txt'
+    before = open_icl_nuim(living_room, SMALL).pairs
+    rows = path.read_text().splitlines()
+    path.write_text('\n'.join([*reversed(rows), rows[0]]))
+    assert list(open_icl_nuim(living_room, SMALL).pairs) == list(before)
+
+
 @pytest.mark.parametrize(
     ('line', 'reason'),
     [
         ('5 depth/5.png', 'txt:6: 2 columns'),
-        ('3 depth/3.png 3 rgb/3.png', 'txt:6: stamp 3.0* comes after'),
         ('5 ../5.png 5 rgb/5.png', 'txt:6: .*leads out'),
         ('5 depth/\0.png 5 rgb/5.png', 'txt:6: .*not a path'),
         ('5.5 depth/5.png 6 rgb/5.png', 'txt: 5.5 is not a frame number'),

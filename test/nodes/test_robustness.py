@@ -7,6 +7,7 @@ from __future__ import annotations
 import random
 import time
 from copy import deepcopy
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from subprocess import Popen
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 pytest.importorskip('rclpy')
 
 from camera import Camera, halved, shots  # type: ignore[import-not-found]
+from camera import shot as shot_of
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -71,9 +73,9 @@ LINES, THROTTLE_S = 16, 5.0  # of the log: one in five seconds is meant, and a f
 CLAIMED_BYTES = 2**31 - 1
 
 
-def begin(robot: Robot, *others: str) -> tuple[Popen[bytes], Camera]:
+def begin(robot: Robot, *others: str, **parameters: object) -> tuple[Popen[bytes], Camera]:
     """Start a tracker, and a camera that it listens to."""
-    tracker = robot.tracker(node__resume=False)
+    tracker = robot.tracker(node__resume=False, **parameters)
     camera = Camera(robot.observer)
     robot.wait_ready('tracker', *others)
     camera.connect(robot.source.camera)
@@ -226,6 +228,19 @@ def test_depth_of_another_frame_is_refused_with_the_reason(robot: Robot) -> None
     camera.settle()
     assert len(robot.observer.poses) == 60
     assert tracker.poll() is None
+
+
+def test_depth_in_another_unit_is_tracked_in_metres_once_it_is_told(robot: Robot) -> None:
+    _, camera = begin(robot, node__depth_per_metre=1000.0)
+    frames = islice(robot.source, 24)
+    camera.play(
+        shot_of(replace(f, depth_m=1000 * f.depth_m), robot.source.camera)
+        for f in frames
+        if isinstance(f, RgbdFrame)
+    )
+    camera.settle()
+    assert len(robot.observer.poses) == 24
+    no_wrong_jump(robot)
 
 
 def rss_mb(process: Popen[bytes]) -> float:

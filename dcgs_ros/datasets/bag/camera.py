@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.sensor import SensorNoise
-from ...io.ros_images import MessageError, read_camera
+from ...io.ros_images import MessageError, depth_unit, read_camera
 from ..camera_presets import PRESETS
 from ..images.depth_registration import register_depth
 from ..parsing.intrinsics import parse_intrinsics
@@ -34,7 +34,6 @@ _SENSOR_ADDED = {
 }  # older recordings lack them
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
-_MM_PER_M = 1000.0
 _SAME_PX = 0.5  # intrinsics that differ by less count as the same camera
 
 
@@ -53,7 +52,7 @@ class RecordedCamera:
     topics: CameraTopics
     camera: PinholeCamera
     sensor: SensorNoise
-    depth_per_metre: float  # value of a 16-bit depth pixel at one metre
+    depth_per_metre: float  # value of a depth pixel at one metre
     mount: DepthMount | None  # None: depth is recorded registered to colour
     as_published: bool  # raw, registered, in ROS's units: messages can be replayed unchanged
 
@@ -76,10 +75,12 @@ def find_camera(
     text: str | None = None,
     color_topic: str | None = None,
     depth_topic: str | None = None,
+    depth_per_metre: float | None = None,
 ) -> RecordedCamera:
     """Find the camera's topics and read its parameters.
 
-    `text` is a preset or intrinsics instead of colour's CameraInfo. Raises `SourceError`.
+    `text` is a preset or intrinsics instead of colour's CameraInfo, `depth_per_metre` replaces the
+    recorded unit. Raises `SourceError`.
     """
     topics = camera_topics(path, color_topic, depth_topic)
     try:
@@ -91,9 +92,10 @@ def find_camera(
         camera = _color_camera(text, topics, first)
         mount = _find_mount(path, topics, first)
         sensor = _find_sensor(path, text, camera, mount)
-        per_metre = _depth_per_metre(path, topics)
+        unit = _standard_unit(first[topics.depth])
+        per_metre = depth_per_metre or _depth_per_metre(path, topics, unit)
         compressed = any(is_compressed(first[topic]) for topic in (topics.color, topics.depth))
-        as_published = mount is None and per_metre == _MM_PER_M and not compressed
+        as_published = mount is None and per_metre == unit and not compressed
         return RecordedCamera(topics, camera, sensor, per_metre, mount, as_published)
     except DcgsError as error:
         raise SourceError(f'{path}: {error}') from error
@@ -141,13 +143,18 @@ def _same(one: Any, other: Any) -> bool:
     return sizes and np.allclose(one.k, other.k, rtol=0.0, atol=_SAME_PX)
 
 
-def _depth_per_metre(path: Path | str, topics: CameraTopics) -> float:
-    """Return the unit of 16-bit depth: millimetres, unless RealSense Viewer recorded another."""
+def _standard_unit(depth: Any) -> float:
+    """Return the value at one metre of an Image or CompressedImage of depth in ROS's units."""
+    return depth_unit(depth.format if is_compressed(depth) else depth.encoding)
+
+
+def _depth_per_metre(path: Path | str, topics: CameraTopics, standard: float) -> float:
+    """Return the value at one metre: the standard's, unless RealSense Viewer recorded another."""
     if (stream := viewer_stream(topics.depth)) is None:
-        return _MM_PER_M
+        return standard
     name = f'{stream.rsplit("/", 1)[0]}/option/Depth_Units/value'
     if (message := first_messages(path, [name]).get(name)) is None:
-        return _MM_PER_M
+        return standard
     if not 0 < message.data < math.inf:
         raise MessageError(f'{name} is {message.data} metres')
     return 1.0 / float(str(np.float32(message.data)))  # 0.001, not its 32-bit neighbour

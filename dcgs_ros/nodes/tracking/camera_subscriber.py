@@ -81,8 +81,11 @@ class CameraSubscriber:
         }
 
 
-def read_frame(pair: ImagePair[Image, Image]) -> RgbdFrame:
-    """Return the frame of two messages; raise a `DcgsError` where they cannot form one."""
+def read_frame(pair: ImagePair[Image, Image], depth_per_metre: float | None = None) -> RgbdFrame:
+    """Return the frame of two messages; raise a `DcgsError` where they cannot form one.
+
+    `depth_per_metre` is the value of a depth pixel at one metre; None: as in ROS.
+    """
     color, depth = pair.color, pair.depth
     frames = color.header.frame_id, depth.header.frame_id
     if all(frames) and frames[0] != frames[1]:
@@ -90,4 +93,5 @@ def read_frame(pair: ImagePair[Image, Image]) -> RgbdFrame:
             f'colour is in frame {frames[0][:60]!r}, depth in {frames[1][:60]!r}: it is not '
             'registered'
         )
-    return RgbdFrame(pair.color_ns, pair.depth_ns, read_color(color), read_depth(depth))
+    depth_m = read_depth(depth, depth_per_metre)
+    return RgbdFrame(pair.color_ns, pair.depth_ns, read_color(color), depth_m)

@@ -25,10 +25,10 @@ from ..datasets.camera_presets import PRESETS
 from ..datasets.parsing.intrinsics import parse_intrinsics
 from ..evaluation.map_view import read_corrections
 from ..io.map_archive import MapFileError, SavedMap, read_map
-from ..io.ply import PlyError, read_ply
 from ..io.trajectory import read_tum
 from .arguments import RenderArguments, UsageError
 from .folders import FolderError, create_folder, refuse_used
+from .maps import is_splats, read_splats
 from .pictures import CODECS, ImageFolder, Pictures, Video
 
 Pose = NDArray[np.float64]  # (4, 4) T_world_cam
@@ -72,14 +72,12 @@ def _check_out(arguments: RenderArguments) -> None:
 
 
 def _read(arguments: RenderArguments) -> _MapToRender:
-    """Read the map; raise `UsageError` for a .ply without --camera."""
+    """Read the map; raise `UsageError` for a .ply or .spz without --camera."""
     path, camera = arguments.map, _camera(arguments)
-    if path.suffix.lower() != '.ply':
+    if not is_splats(path):
         saved = read_map(path)
         return _MapToRender(saved.splats, camera or saved.camera, _corrected(path, saved))
-    splats = read_ply(path)
-    if not len(splats):
-        raise PlyError(f'{path}: holds no Gaussian')
+    splats = read_splats(path)
     if camera is None:
         raise UsageError(f'{path} holds no camera: give --camera, with --size if it is numbers')
     return _MapToRender(splats, camera, lambda _, T_tracked: T_tracked)

@@ -119,7 +119,7 @@ def _encoded(splats: Splats, fraction_bits: int) -> Iterator[bytes]:
     largest = np.abs(quats).argmax(axis=0)
     quats *= np.where(np.take_along_axis(quats, largest[None], axis=0) < 0, -1, 1)
     others = quats.T[np.arange(4) != largest[:, None]].reshape(-1, 3).T
-    codes = np.minimum(np.rint(_MAGNITUDE * np.abs(others)), 511).astype('<u4')
+    codes = np.rint(_MAGNITUDE * np.abs(others)).astype('<u4')
     a, b, c = codes | (others < 0).astype('<u4') << 9
     yield (largest.astype('<u4') << 30 | a << 20 | b << 10 | c).tobytes()
 

@@ -137,7 +137,8 @@ def test_elements_before_and_after_the_vertices_are_ignored(tmp_path: Path, orde
     rows = np.rec.fromarrays(list(splats.planes), dtype=[(name, '<f4') for name in PLANES])
     pack = as_text if order == 'ascii' else np.ndarray.tobytes
     after = b'3 0 1 2 0.5\n' if order == 'ascii' else b'\x03' + bytes(14)
-    (tmp_path / 'a.ply').write_bytes(text + pack(before) + pack(rows) + after)
+    space = b' \r\n' if order == 'ascii' else b''
+    (tmp_path / 'a.ply').write_bytes(text + pack(before) + space + pack(rows) + after)
     assert_same(read_ply(tmp_path / 'a.ply'), splats)
 
 

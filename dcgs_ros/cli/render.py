@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -27,7 +26,7 @@ from ..evaluation.map_view import read_corrections
 from ..io.map_archive import MapFileError, SavedMap, read_map
 from ..io.trajectory import read_tum
 from .arguments import RenderArguments, UsageError
-from .folders import FolderError, create_folder, refuse_used
+from .folders import FolderError, new_folder, refuse_used
 from .maps import is_splats, read_splats
 from .pictures import CODECS, ImageFolder, Pictures, Video
 
@@ -116,19 +115,15 @@ def _camera(arguments: RenderArguments) -> PinholeCamera | None:
 
 @contextmanager
 def _pictures(arguments: RenderArguments, trajectory: Trajectory) -> Iterator[Pictures]:
-    """Open the video or create the folder; a folder left empty is removed."""
+    """Open the video or create the folder."""
     out = arguments.out
     if out is not None and out.suffix.lower() in CODECS:
         out.parent.mkdir(parents=True, exist_ok=True)
         with closing(Video(out, _rate_hz(trajectory))) as video:
             yield video
         return
-    folder = create_folder(out, arguments.map.stem)
-    try:
+    with new_folder(out, arguments.map.stem) as folder:
         yield ImageFolder(folder, arguments.depth)
-    finally:
-        with contextlib.suppress(OSError):  # it is not empty unless nothing was written
-            folder.rmdir()
 
 
 def _rate_hz(trajectory: Trajectory) -> float:

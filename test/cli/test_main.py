@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -267,6 +268,24 @@ def test_help_imports_nothing_heavy_and_a_run_no_matplotlib(
     running = loaded_after('import dcgs_ros.cli.run')
     assert 'numba' in running
     assert not running & {'matplotlib', 'torch'}
+
+
+def test_what_is_left_for_a_closed_pipe_goes_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else Python would complain when it exits."""
+    reading, writing = os.pipe()
+    os.close(reading)
+
+    class Closed(io.StringIO):
+        def flush(self) -> None:
+            os.write(writing, b'rest')
+
+        def fileno(self) -> int:
+            return writing
+
+    monkeypatch.setattr(sys, 'stdout', Closed())
+    assert main(['--version']) == 141
+    sys.stdout.flush()
+    os.close(writing)
 
 
 @pytest.mark.slow

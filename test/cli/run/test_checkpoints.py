@@ -131,6 +131,13 @@ def test_the_map_is_saved_again_and_again(tmp_path: Path, mapper: Mapper) -> Non
         wait_for(lambda: read_ply(tmp_path / 'map.ply').means[0].tolist() == [1, 0])
 
 
+def test_a_map_without_gaussians_is_not_saved(tmp_path: Path, mapper: Mapper) -> None:
+    mapper.table.keep(np.zeros(3, np.bool_))
+    with Checkpoints(tmp_path, RunRecord('', ''), pipeline_of(mapper)):
+        time.sleep(0.1)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_copy_is_of_when_the_mapper_was_at_rest(tmp_path: Path, mapper: Mapper) -> None:
     class Once(AtOnce):
         def between_steps(self, work: Callable[[Mapper], None]) -> None:

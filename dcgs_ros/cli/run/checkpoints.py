@@ -7,7 +7,7 @@ from __future__ import annotations
 import queue
 import sys
 import threading
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -65,15 +65,14 @@ class Checkpoints:
                 while not self._stop.wait(INTERVAL_S):
                     self._append_poses(stream)
                     self._save_map()
-            except FileExistsError:
-                pass  # all frames are done, and the whole trajectory is there
             except (DcgsError, OSError) as error:
                 tqdm.write(f'dcgs: no more is saved before the end: {error}', file=sys.stderr)
 
     def _append_poses(self, stream: TrajectoryStream) -> None:
         frames = self._record.tracked[self._frames :]
         self._frames += len(frames)
-        stream.append(RunRecord('', '', tracked=frames).trajectory())
+        with suppress(FileExistsError):  # all frames are done, and the whole trajectory is there
+            stream.append(RunRecord('', '', tracked=frames).trajectory())
 
     def _save_map(self) -> None:
         if self._pipeline.mapper is None:

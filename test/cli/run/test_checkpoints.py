@@ -131,6 +131,15 @@ def test_the_map_is_saved_again_and_again(tmp_path: Path, mapper: Mapper) -> Non
         wait_for(lambda: read_ply(tmp_path / 'map.ply').means[0].tolist() == [1, 0])
 
 
+def test_a_short_runs_map_is_saved_while_it_is_refined(tmp_path: Path, mapper: Mapper) -> None:
+    """Its frames were done, and the trajectory was written, before anything was due."""
+    (tmp_path / 'trajectory.tum').write_text('whole')
+    record = RunRecord('', '', tracked=[tracked(0)])
+    with Checkpoints(tmp_path, record, pipeline_of(mapper)):
+        wait_for((tmp_path / 'map.ply').exists)
+    assert (tmp_path / 'trajectory.tum').read_text() == 'whole'
+
+
 def test_a_map_without_gaussians_is_not_saved(tmp_path: Path, mapper: Mapper) -> None:
     mapper.table.keep(np.zeros(3, np.bool_))
     with Checkpoints(tmp_path, RunRecord('', ''), pipeline_of(mapper)):

@@ -115,6 +115,26 @@ def follow(mapping: Lockstep, tracker: FakeTracker, frames: int, keyframes: set[
         mapping.advance()
 
 
+def test_work_between_steps_is_done_once_at_the_next_frame_or_step() -> None:
+    tracker, mapper = FakeTracker(), FakeMapper(steps_per_frame=1.0, final_steps=3)
+    mapping, seen = lockstep(tracker, mapper), []
+
+    def work(given: Mapper) -> None:
+        assert cast(Any, given) is mapper
+        seen.append(len(mapper.log))
+
+    mapping.between_steps(work)
+    assert not seen
+    follow(mapping, tracker, 3, {0})
+    assert len(seen) == 1
+    steps = mapping.finish()
+    next(steps)
+    mapping.between_steps(work)
+    done = len(mapper.log)
+    assert len(list(steps)) == 2
+    assert seen[1:] == [done + 1]
+
+
 @pytest.mark.parametrize(
     ('per_frame', 'expected'),
     [
@@ -271,6 +291,18 @@ def test_online_the_mapper_goes_on_while_nothing_comes(session: Session) -> None
     session.frame()
     eventually(lambda: session.mapper.log.count('step') > 20)
     assert session.mapper.log[:2] == ['insert 0', 'update']
+
+
+def test_online_work_between_steps_is_done_by_the_mappers_thread(session: Session) -> None:
+    seen: list[tuple[str, int]] = []
+    session.frame(keyframe=True)
+    session.frame()
+    for _ in range(3):
+        session.mapping.between_steps(
+            lambda mapper: seen.append((threading.current_thread().name, len(mapper.views)))
+        )
+    eventually(lambda: len(seen) == 3)
+    assert {name for name, _ in seen} == {'mapper'}
 
 
 @pytest.mark.parametrize('what', ['step', 'insert'])

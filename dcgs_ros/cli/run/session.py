@@ -27,6 +27,7 @@ from ...io.map_archive import SavedMap, write_map
 from ...io.ply import write_ply
 from ...io.snapshot import saved_map
 from ..tables import run_summary
+from .checkpoints import Checkpoints
 from .deferred_errors import DeferredErrors
 from .outputs import write_plot, write_report, write_tracks
 from .pacing import at_recorded_pace, on_demand
@@ -61,7 +62,8 @@ class Session:
         print(f'dcgs: tracking {total} frames of {record.source}', file=sys.stderr, flush=True)
         arrive = at_recorded_pace if pipeline.online else on_demand
         decoded = prefetch_frames(self._source, total, quietly=not pipeline.online)
-        with Progress(total) as progress:
+        checkpoints = Checkpoints(self._folder, record, pipeline)
+        with Progress(total) as progress, checkpoints:
             with deferred, closing(decoded), closing(arrive(decoded)) as items:
                 pipeline.process(items, record, progress, stopped)
             if record.tracked:

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from ..sensor import SensorNoise
 from .presets import Ablation
-from .schema import Stage, described, ranged
+from .schema import Stage, described, override, ranged
 
 
 @dataclass(frozen=True)
@@ -288,6 +289,17 @@ class RatesConfig(Stage):
     final: float = ranged(0.1, 0, 1, 'Factor of all these rates at the end of the final steps.')
 
 
+# Settings that follow the size of the image, and the least that each may be, pixels.
+_DISTANCES = (
+    ('cloud', 'stride_px', 3),
+    ('cloud', 'dilation_px', 1),
+    ('landmarks', 'min_distance_px', 5),
+    ('keyframes', 'spawn_stride_px', 2),
+    ('keyframes', 'spawn_px', 2),
+    ('mapping', 'spawn_stride_px', 2),
+)
+
+
 @dataclass(frozen=True)
 class Config(Stage):
     """The settings of all stages."""
@@ -311,6 +323,22 @@ class Config(Stage):
     timing: TimingConfig = field(default_factory=TimingConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)
+
+    def scaled_to(self, width: int, height: int) -> Config:
+        """Return the settings for images of this size, in pixels.
+
+        Distances between samples are meant for 640x480. In smaller images they shrink, so that
+        there are as many points, corners and Gaussians; in larger ones they stay. Standard
+        deviations in pixels are those of measurements, whatever the size.
+        """
+        share = math.sqrt(width * height / (640 * 480))
+        if share >= 1.0:
+            return self
+        changes = {
+            f'{stage}.{name}': max(round(share * getattr(getattr(self, stage), name)), least)
+            for stage, name, least in _DISTANCES
+        }
+        return override(self, changes)
 
     @property
     def uses_landmarks(self) -> bool:

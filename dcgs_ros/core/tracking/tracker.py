@@ -55,7 +55,7 @@ class Tracker:
         `config.threads` holds for the thread that makes the tracker, which is to call `track` too.
         """
         self.camera = camera
-        self.config = config or Config()
+        self.config = (config or Config()).scaled_to(camera.width, camera.height)
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self._T_world_first = np.eye(4) if T_world_first is None else T_world_first
         self._begun = False
@@ -159,6 +159,7 @@ class Tracker:
     def reconfigure(self, config: Config) -> None:
         """Go on with other settings; sensor, ablation, threads and timing stay as they were."""
         kept = {name: getattr(self.config, name) for name in ('sensor', 'ablation', 'threads')}
+        config = config.scaled_to(self.camera.width, self.camera.height)
         self.config = replace(config, timing=self.config.timing, **kept)
         self._policy.config = config.keyframes
 

@@ -128,3 +128,13 @@ def test_noise_the_sensor_cannot_have_is_refused() -> None:
 def test_settings_are_frozen() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         Config().threads = 3  # type: ignore[misc]
+
+
+def test_distances_in_pixels_follow_small_images_only() -> None:
+    config = Config()
+    assert config.scaled_to(640, 480) is config and config.scaled_to(1280, 720) is config
+    half, tiny = config.scaled_to(320, 240), config.scaled_to(64, 48)
+    assert (half.cloud.stride_px, half.landmarks.min_distance_px) == (5, 6)
+    assert (half.keyframes.spawn_px, half.mapping.spawn_stride_px) == (2.0, 3)
+    assert half.landmarks.sigma_px == config.landmarks.sigma_px
+    assert (tiny.cloud.stride_px, tiny.cloud.dilation_px) == (3, 1)

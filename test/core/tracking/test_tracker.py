@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import FrameError
@@ -145,6 +146,29 @@ def test_only_where_asked_there_are_landmarks() -> None:
             assert min(landmarks) > 20
         else:
             assert not any(landmarks)
+
+
+def test_a_small_image_is_sampled_as_densely_as_a_large_one() -> None:
+    camera = source_of(KINECT).camera
+    small = PinholeCamera(
+        160, 120, camera.fx / 4, camera.fy / 4, (camera.cx - 1.5) / 4, (camera.cy - 1.5) / 4,
+        camera.distortion,
+    )  # fmt: skip
+    tracker = Tracker(small, Config(sensor=source_of(KINECT).sensor))
+    results = [
+        tracker.track(
+            replace(
+                frame,
+                color=cv2.resize(frame.color, (160, 120), interpolation=cv2.INTER_AREA),
+                depth_m=np.ascontiguousarray(frame.depth_m[2::4, 2::4]),
+            )
+        )
+        for frame in frames_of(KINECT)
+    ]
+    assert_true(KINECT, results)
+    assert len(tracker.landmarks) > 100 and results[-1].points > 1000
+    tracker.reconfigure(Config(sensor=source_of(KINECT).sensor))
+    assert tracker.config.cloud.stride_px < Config().cloud.stride_px
 
 
 def test_the_first_frame_is_where_it_is_said_to_be() -> None:

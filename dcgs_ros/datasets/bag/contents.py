@@ -4,23 +4,27 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.camera import CameraError
 from ...core.trajectory import Trajectory
-from ...io.ros_images import MessageError
+from ...io.ros_images import MessageError, read_camera
 from ...io.trajectory import format_stamp_ns
 from ..images.association import MAX_PAIR_GAP_NS, associate_stamps
+from ..images.camera_timeline import CameraTimeline
 from ..source import BadFrame, SourceError
 from .extrinsics import read_transform
 from .messages import POSE, RawMessage, decode, read_header
 from .recording import raw_messages
 from .recovery.losses import DamagedError
-from .topics import GROUNDTRUTH_TOPIC
+from .topics import GROUNDTRUTH_TOPIC, CameraTopics
 
+_AFTER_STAMP = 12  # byte of a message that begins with a header
 _MAX_STEP_BACK_NS = 1_000_000_000  # of stamps; a larger step means another recording
 
 
@@ -31,25 +35,29 @@ class RecordingContents:
     pairs: list[tuple[int, int]]  # stamps of colour and depth, by colour
     groundtruth: Trajectory | None
     lost: list[BadFrame]  # unreadable messages, and what else of a damaged recording is lost
+    cameras: dict[str, CameraTimeline]  # by topic of their CameraInfo
 
 
-def read_contents(path: Path | str, color: str, depth: str) -> RecordingContents:
-    """Read the headers of the images, and the ground truth's poses.
+def read_contents(path: Path | str, topics: CameraTopics) -> RecordingContents:
+    """Read the headers of the images, their CameraInfo, and the ground truth's poses.
 
     Raises `SourceError` if no colour and depth image are a pair, or stamps step back by more than
     a second.
     """
-    stamps: dict[str, list[int]] = {color: [], depth: []}
+    stamps: dict[str, list[int]] = {topics.color: [], topics.depth: []}
+    infos = {topic: _InfoReader() for topic in (topics.camera_info, topics.depth_info) if topic}
     poses: dict[int, NDArray[np.float64]] = {}
     lost = []
     number = 0
     try:
         for number, message in enumerate(
-            raw_messages(path, (*stamps, GROUNDTRUTH_TOPIC), heads=True), 1
+            raw_messages(path, (*stamps, *infos, GROUNDTRUTH_TOPIC), heads=True), 1
         ):
             try:
                 if message.topic in stamps:
                     _add_stamp(stamps[message.topic], read_header(message.cdr)[0])
+                elif message.topic in infos:
+                    infos[message.topic].read(message)
                 elif message.type == POSE:
                     poses.setdefault(*_read_pose(message))
             except MessageError as error:
@@ -59,8 +67,27 @@ def read_contents(path: Path | str, color: str, depth: str) -> RecordingContents
                 raise SourceError(f'{path}: {where}: {error}') from error
     except DamagedError as error:
         lost.append(BadFrame('end of the recording', str(error)))
-    pairs = _paired(path, stamps[color], stamps[depth], lost)
-    return RecordingContents(pairs, _trajectory(poses), lost)
+    pairs = _paired(path, stamps[topics.color], stamps[topics.depth], lost)
+    cameras = {topic: reader.timeline for topic, reader in infos.items()}
+    return RecordingContents(pairs, _trajectory(poses), lost, cameras)
+
+
+class _InfoReader:
+    """Reads the CameraInfo of a topic, each of which mostly repeats the last one."""
+
+    def __init__(self) -> None:
+        """Begin."""
+        self.timeline = CameraTimeline()
+        self._last = b''
+
+    def read(self, message: RawMessage) -> None:
+        """Add a message; one without usable intrinsics changes nothing."""
+        if message.cdr[_AFTER_STAMP:] == self._last:
+            return
+        self._last = message.cdr[_AFTER_STAMP:]
+        with suppress(MessageError, CameraError):
+            camera = read_camera(decode(message.cdr, message.type))
+            self.timeline.add(read_header(message.cdr)[0], camera)
 
 
 def _add_stamp(stamps: list[int], stamp_ns: int) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
+from ...core.lens_camera import Camera
 from ...io.ros_images import measured, read_color, read_depth
 from ..images.decoding import decode_color, decode_depth, encoded_size
 
@@ -19,7 +19,7 @@ _PNG = b'\x89PNG\r\n\x1a\n'
 _DEPTH_HEADER = struct.Struct('<Iff')  # compressed_depth_image_transport's: format, A, B
 
 
-def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
+def color_of(message: Any, camera: Camera) -> NDArray[np.uint8]:
     """Decode an Image or CompressedImage to colour (H, W, 3) RGB or (H, W).
 
     Raises `FrameError` or `MessageError`; an image not of the camera's size is not decoded.
@@ -30,7 +30,7 @@ def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
     return read_color(message)
 
 
-def depth_of(message: Any, camera: PinholeCamera, per_metre: float) -> NDArray[np.float32]:
+def depth_of(message: Any, camera: Camera, per_metre: float) -> NDArray[np.float32]:
     """Decode an Image or CompressedImage to depth (H, W) in metres, 0 = none.
 
     `per_metre` is the value of 16 bits at one metre. Compressed depth is a 16-bit PNG, with or
@@ -74,7 +74,7 @@ def _split(data: bytes) -> tuple[bytes, bytes]:
     return (data[:size], data[size:]) if data[size:].startswith(_PNG) else (b'', data)
 
 
-def _check_size(what: str, message: Any, camera: PinholeCamera) -> None:
+def _check_size(what: str, message: Any, camera: Camera) -> None:
     width, height = image_size(message)
     if (width, height) != (camera.width, camera.height):
         raise FrameError(

@@ -11,10 +11,12 @@ from pathlib import Path
 from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
+from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
 from ...io.ros_images import MessageError
 from ...io.trajectory import format_stamp_ns, read_tum
+from ..images.registration import RegistrationChoice
 from ..source import BadFrame, ImuSample, sequence_name
 from .camera import RecordedCamera, find_camera
 from .contents import read_contents
@@ -34,7 +36,9 @@ class BagSource:
     `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels instead of the recorded
     CameraInfo; `groundtruth` a trajectory file instead of the recorded poses. The topics are found
     unless they are given. Depth that is not registered to colour is registered with the recorded
-    extrinsics. Opening reads all messages once, for their stamps, and keeps none.
+    extrinsics; `registration` none or extrinsics overrides whether it is. Intrinsics that change
+    are followed: all frames are those of one camera. Opening reads all messages once, for their
+    stamps, and keeps none.
 
     Raises a `DcgsError` that names the topics or stamps that do not match. Of a damaged recording
     the readable part is read; the losses are the last `BadFrame`s.
@@ -52,14 +56,14 @@ class BagSource:
         groundtruth: Path | str | None = None,
         color_topic: str | None = None,
         depth_topic: str | None = None,
+        registration: RegistrationChoice = 'auto',
     ) -> None:
         """Find the camera and pair the stamps."""
         self._path = path
         self.name = sequence_name(path)
-        self.recorded = find_camera(path, camera, color_topic, depth_topic)
+        self.recorded = find_camera(path, camera, color_topic, depth_topic, registration)
         self.camera, self.sensor = self.recorded.camera, self.recorded.sensor
-        topics = self.recorded.topics
-        self._contents = read_contents(path, topics.color, topics.depth)
+        self._contents = read_contents(path, self.recorded.topics)
         self.groundtruth = self._contents.groundtruth
         if groundtruth is not None:
             self.groundtruth = read_tum(groundtruth)
@@ -79,8 +83,10 @@ class BagSource:
                 if color is None or depth is None:
                     raise FrameError(f'not there, or more than {_MAX_WAITING} images late')
                 images = self.recorded.images(
-                    decode(color.cdr, color.type), decode(depth.cdr, depth.type)
-                )
+                    decode(color.cdr, color.type), decode(depth.cdr, depth.type),
+                    self._camera_at(topics.camera_info, color_ns),
+                    self._camera_at(topics.depth_info, depth_ns),
+                )  # fmt: skip
                 frame: RgbdFrame | BadFrame = RgbdFrame(color_ns, depth_ns, *images)
             except (FrameError, MessageError) as error:
                 stamp = format_stamp_ns(color_ns)
@@ -88,6 +94,10 @@ class BagSource:
                 frame = BadFrame(name, str(error))
             yield frame
         yield from self._contents.lost
+
+    def _camera_at(self, topic: str | None, stamp_ns: int) -> Camera | None:
+        timeline = self._contents.cameras.get(topic or '')
+        return None if timeline is None else timeline.at(stamp_ns)
 
     def imu(self) -> Iterator[ImuSample]:
         """Read the measurements of all IMUs, in order of their stamps."""

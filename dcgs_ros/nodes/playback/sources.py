@@ -106,8 +106,8 @@ def open_playback(
     Raises a `DcgsError` where it cannot be played.
     """
     if camera is None and not source.startswith('synthetic:'):  # whose `?` begins no topics
-        path, *topics = split_topics(source)
-        recorded = find_camera(path, None, *topics) if is_bag(path) else None
+        path, color, depth = split_topics(source)
+        recorded = find_camera(path, None, color, depth) if is_bag(path) else None
         if recorded is not None and recorded.as_published:
             return BagPlayback(path, recorded.topics, camera_frame, warn)
     return FramePlayback(open_source(source, camera), camera_frame, warn)

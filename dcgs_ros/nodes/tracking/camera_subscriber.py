@@ -7,17 +7,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Literal
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
-from ...core.camera import PinholeCamera
 from ...core.config.nodes import TrackerNodeSettings
 from ...core.errors import DcgsError
-from ...core.frame import RgbdFrame
-from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
+from ...io.ros_images import stamp_ns
 from ..transport import sensor_qos
 from ..work_queue import WorkQueue
+from .frame_reader import FrameReader, Lookup
 from .health import Streams
 from .pairing import ImagePair, ImagePairing
 
@@ -29,10 +29,13 @@ class CameraSubscriber:
     """Puts pairs of images into a queue, without looking at their pixels."""
 
     def __init__(
-        self, node: Node, settings: TrackerNodeSettings, warn: Callable[[str], None]
+        self,
+        node: Node,
+        settings: TrackerNodeSettings,
+        warn: Callable[[str], None],
+        lookup: Lookup,
     ) -> None:
-        """Subscribe."""
-        self.camera: PinholeCamera | None = None
+        """Subscribe; `lookup` asks TF for T_parent_child."""
         self.queue: WorkQueue[ImagePair[Image, Image]] = WorkQueue(_WAITING_PAIRS)
         self.pairing: ImagePairing[Image, Image] = ImagePairing(int(1e9 * settings.sync_slop_s))
         self.counts = {'color': 0, 'depth': 0, 'pairs': 0}
@@ -44,13 +47,17 @@ class CameraSubscriber:
         subscribe = node.create_subscription
         subscribe(Image, f'{color}/image_raw', partial(self._on_image, 'color'), qos)
         subscribe(Image, f'{depth}/image_raw', partial(self._on_image, 'depth'), qos)
-        subscribe(CameraInfo, f'{color}/camera_info', self._on_camera, qos)
+        subscribe(CameraInfo, f'{color}/camera_info', partial(self._on_info, 'color'), qos)
+        subscribe(CameraInfo, f'{depth}/camera_info', partial(self._on_info, 'depth'), qos)
+        names = [node.resolve_topic_name(f'{stream}/image_raw') for stream in (color, depth)]
+        tell = node.get_logger().info
+        self.reader = FrameReader(settings.depth_registration, (names[0], names[1]), lookup, tell)
 
-    def _on_camera(self, info: CameraInfo) -> None:
+    def _on_info(self, kind: Literal['color', 'depth'], info: CameraInfo) -> None:
         try:
-            self.camera = read_camera(info)
+            self.reader.on_info(kind, info)
         except DcgsError as error:
-            self._warn(f'camera_info refused: {error}')
+            self._warn(f'camera_info of {kind} refused: {error}')
 
     def _on_image(self, kind: str, image: Image) -> None:
         self.counts[kind] += 1
@@ -68,7 +75,7 @@ class CameraSubscriber:
         before, self._reported = self._reported, self._totals()
         new = {key: count - before[key] for key, count in self._reported.items()}
         silent_s = time.monotonic() - self._received_s
-        return Streams(**new, has_camera=self.camera is not None, silent_s=silent_s)
+        return Streams(**new, has_camera=self.reader.has_camera, silent_s=silent_s)
 
     def figures(self) -> dict[str, object]:
         """Return the counts since the start, for diagnostics."""
@@ -79,15 +86,3 @@ class CameraSubscriber:
             'unpaired_depth': pairing.unpaired_depth,
             'disorder': pairing.disorder,
         }
-
-
-def read_frame(pair: ImagePair[Image, Image]) -> RgbdFrame:
-    """Return the frame of two messages; raise a `DcgsError` where they cannot form one."""
-    color, depth = pair.color, pair.depth
-    frames = color.header.frame_id, depth.header.frame_id
-    if all(frames) and frames[0] != frames[1]:
-        raise MessageError(
-            f'colour is in frame {frames[0][:60]!r}, depth in {frames[1][:60]!r}: it is not '
-            'registered'
-        )
-    return RgbdFrame(pair.color_ns, pair.depth_ns, read_color(color), read_depth(depth))

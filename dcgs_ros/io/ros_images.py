@@ -53,19 +53,26 @@ def read_color(image: Any) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels)
 
 
-def read_depth(image: Any, per_metre: float = _MM_PER_M) -> NDArray[np.float32]:
-    """Return depth (H, W) in metres, 0 = none, of an Image in 16UC1, mono16 or 32FC1 (metres).
+def depth_unit(encoding: str) -> float:
+    """Return the value at one metre of a depth image: 1 of 32FC1, 1000 of 16 bits (REP 118)."""
+    return 1.0 if encoding.startswith('32FC1') else _MM_PER_M
 
-    `per_metre` is the value of 16 bits at one metre. Negative and non-finite values count as none.
-    Raises `MessageError`.
+
+def read_depth(image: Any, per_metre: float | None = None) -> NDArray[np.float32]:
+    """Return depth (H, W) in metres, 0 = none, of an Image in 16UC1, mono16 or 32FC1.
+
+    `per_metre` is the value of a pixel at one metre, by default `depth_unit`. Negative and
+    non-finite values count as none. Raises `MessageError`.
     """
     kind = _DEPTH_TYPES.get(image.encoding)
     if kind is None:
         raise _unknown('depth', image.encoding, _DEPTH_TYPES)
     raw = _pixels(image, np.dtype(('>' if image.is_bigendian else '<') + kind), 1)
+    unit = np.float32(per_metre or depth_unit(image.encoding))
     if kind == 'u2':
-        return raw.astype(np.float32) / np.float32(per_metre)
-    return measured(raw.astype(np.float32))
+        return raw.astype(np.float32) / unit
+    depth_m = raw.astype(np.float32)
+    return measured(depth_m if unit == 1 else depth_m / unit)
 
 
 def measured(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -109,7 +109,8 @@ class TrackerNode(Node):
 
     def _track(self, pair: ImagePair[Image, Image]) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
-        frame, camera = self._camera.reader.read(pair)
+        per_metre = self._params.settings.node.depth_per_metre
+        frame, camera = self._camera.reader.read(pair, per_metre)
         camera_frame = pair.color.header.frame_id
         session, to_base = self._session, self._outputs.camera_to_base(camera_frame)
         session.T_world_first = to_base.T_base_cam

@@ -68,7 +68,7 @@ def test_images_pair_in_natural_order_at_the_rate(folder: Path) -> None:
 
 def test_other_numbers_of_images_are_no_pairs(folder: Path) -> None:
     (folder / 'depth/9.png').unlink()
-    with pytest.raises(SourceError, match=r'rgb/\*\.png finds 3 images, depth/\*\.png 2'):
+    with pytest.raises(SourceError, match=r'3 colour and 2 depth images.*rgb'):
         open_custom(folder)
     change(folder, depth='deep/*.png')
     with pytest.raises(SourceError, match=r'deep: cannot be read: No such file'):
@@ -99,7 +99,7 @@ def test_names_are_stamps_and_the_nearest_pair(tmp_path: Path) -> None:
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
-@given(st.lists(st.integers(0, 2**61), min_size=1, max_size=6, unique=True))
+@given(st.lists(st.integers(0, 2**61), min_size=1, max_size=3, unique=True))
 def test_stamps_in_names_are_read_to_the_nanosecond(tmp_path: Path, stamps_ns: list[int]) -> None:
     folder = Path(mkdtemp(dir=tmp_path))
     change(

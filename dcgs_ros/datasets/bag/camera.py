@@ -18,17 +18,17 @@ from ...core.camera import CameraError, PinholeCamera
 from ...core.errors import DcgsError
 from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
-from ...io.ros_images import MessageError, read_camera
+from ...io.ros_images import MessageError, depth_unit, read_camera
 from ..camera_presets import PRESETS
 from ..images.camera_timeline import check_same
 from ..images.registration import (
     Registration,
-    RegistrationChoice,
     Stream,
     find_registration,
     rectified,
 )
 from ..images.resampling import scaled
+from ..options import AS_STORED, RegistrationChoice, SourceOptions
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
 from .extrinsics import find_T_colorcam_depthcam, first_messages
@@ -41,8 +41,6 @@ from .topics import CameraTopics, camera_topics, viewer_stream
 _SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
-_MM_PER_M = 1000.0
-
 
 @dataclass(frozen=True)
 class RecordedCamera:
@@ -54,7 +52,7 @@ class RecordedCamera:
     depth_size: tuple[int, int]  # width and height
     registration: Registration
     sensor: SensorNoise
-    depth_per_metre: float  # value of a 16-bit depth pixel at one metre
+    depth_per_metre: float  # value of a depth pixel at one metre
     as_published: bool  # raw, registered, in ROS's units: messages can be replayed unchanged
     is_given: bool  # colour's camera, whatever its CameraInfo says
 
@@ -86,11 +84,12 @@ def find_camera(
     text: str | None = None,
     color_topic: str | None = None,
     depth_topic: str | None = None,
-    registration: RegistrationChoice = 'auto',
+    options: SourceOptions = AS_STORED,
 ) -> RecordedCamera:
     """Find the camera's topics and read its parameters.
 
-    `text` is a preset or intrinsics instead of colour's CameraInfo. Raises `SourceError`.
+    `text` is a preset or intrinsics instead of colour's CameraInfo, `depth_per_metre` replaces the
+    recorded unit. Raises `SourceError`.
     """
     topics = camera_topics(path, color_topic, depth_topic)
     try:
@@ -101,16 +100,16 @@ def find_camera(
         color = _color_camera(path, text, topics, first)
         sizes = [image_size(first[topic]) for topic in (topics.color, topics.depth)]
         depth, _ = first_camera(path, topics.depth_info)
-        if depth is not None and (depth.width, depth.height) != sizes[1]:
-            depth = None  # a copy of colour's
-        registered = _registration(path, topics, first, sizes, color, depth, registration)
+        asked = options.depth_registration
+        registered = _registration(path, topics, first, sizes, color, depth, asked)
         sensor = _find_sensor(path, text, registered, depth)
-        per_metre = _depth_per_metre(path, topics)
+        unit = _standard_unit(first[topics.depth])
+        per_metre = options.depth_per_metre or _depth_per_metre(path, topics, unit)
         compressed = any(is_compressed(first[topic]) for topic in (topics.color, topics.depth))
         plain = registered.as_recorded and sizes[0] == sizes[1] and registered.camera == color
         return RecordedCamera(
             topics, color, None if registered.by_size else depth, sizes[1], registered, sensor,
-            per_metre, plain and per_metre == _MM_PER_M and not compressed, text is not None,
+            per_metre, plain and per_metre == unit and not compressed, text is not None,
         )  # fmt: skip
     except DcgsError as error:
         raise SourceError(f'{path}: {error}') from error
@@ -170,13 +169,18 @@ def _registration(
     )  # fmt: skip
 
 
-def _depth_per_metre(path: Path | str, topics: CameraTopics) -> float:
-    """Return the unit of 16-bit depth: millimetres, unless RealSense Viewer recorded another."""
+def _standard_unit(depth: Any) -> float:
+    """Return the value at one metre of an Image or CompressedImage of depth in ROS's units."""
+    return depth_unit(depth.format if is_compressed(depth) else depth.encoding)
+
+
+def _depth_per_metre(path: Path | str, topics: CameraTopics, standard: float) -> float:
+    """Return the value at one metre: the standard's, unless RealSense Viewer recorded another."""
     if (stream := viewer_stream(topics.depth)) is None:
-        return _MM_PER_M
+        return standard
     name = f'{stream.rsplit("/", 1)[0]}/option/Depth_Units/value'
     if (message := first_messages(path, [name]).get(name)) is None:
-        return _MM_PER_M
+        return standard
     if not 0 < message.data < math.inf:
         raise MessageError(f'{name} is {message.data} metres')
     return 1.0 / float(str(np.float32(message.data)))  # 0.001, not its 32-bit neighbour

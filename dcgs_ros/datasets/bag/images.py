@@ -33,9 +33,9 @@ def color_of(message: Any, camera: Camera) -> NDArray[np.uint8]:
 def depth_of(message: Any, camera: Camera, per_metre: float) -> NDArray[np.float32]:
     """Decode an Image or CompressedImage to depth (H, W) in metres, 0 = none.
 
-    `per_metre` is the value of 16 bits at one metre. Compressed depth is a 16-bit PNG, with or
+    `per_metre` is the value of a pixel at one metre. Compressed depth is a 16-bit PNG, with or
     without compressed_depth_image_transport's header; with one, 32FC1 is stored as inverse depth:
-    a value q > 0 means A / (q - B) metres. Raises `FrameError` or `MessageError`; an image not of
+    a value q > 0 means A / (q - B). Raises `FrameError` or `MessageError`; an image not of
     the camera's size is not decoded.
     """
     _check_size('depth', message, camera)
@@ -49,7 +49,7 @@ def depth_of(message: Any, camera: Camera, per_metre: float) -> NDArray[np.float
     with np.errstate(all='ignore'):  # A and B may be damaged
         depth_m = np.float32(a) / (raw.astype(np.float32) - np.float32(b))
     depth_m[raw == 0] = 0.0
-    return measured(depth_m)
+    return measured(depth_m / np.float32(per_metre))
 
 
 def image_size(message: Any) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.lens_camera import Camera, LensCamera
+from ..options import RegistrationChoice
 from .depth_registration import register_depth
 from .resampling import moved_px, resample_color, resample_depth, scaled
 from .sequence import ColorDepth
 
-RegistrationChoice = Literal['auto', 'none', 'extrinsics']
+AS_RECORDED = 'as recorded'  # the reason where nothing is to be said
 
 _REGISTERED = re.compile('(?<!un)(aligned|registered|depth_?(to|2)_?(rgb|color))')
 _SAME_PX = 1.0  # intrinsics that move no pixel farther are those of registered depth
@@ -116,7 +117,7 @@ def find_registration(
         if by_size and depth.size != color.size:
             reason = f', by its size of {depth.size[0]}x{depth.size[1]}{reason}'
         target = _target(color_camera, depth, by_size)
-        return Registration(target, None, by_size, f'as recorded{reason}')
+        return Registration(target, None, by_size, AS_RECORDED + reason)
     if T is None or depth.camera is None:
         missing = 'extrinsics' if T is None else 'CameraInfo'
         raise RegistrationError(

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ class ImageSequence:
     depth_per_metre: float  # raw value of a depth of one metre
     groundtruth: Trajectory | None = None
     register: Callable[[NDArray[np.uint8], NDArray[np.float32]], ColorDepth] = already_registered
+    notes: Sequence[str] = ()
 
     @classmethod
     def from_preset(
@@ -57,11 +59,12 @@ class ImageSequence:
         register: Callable[
             [NDArray[np.uint8], NDArray[np.float32]], ColorDepth
         ] = already_registered,
+        notes: Sequence[str] = (),
     ) -> ImageSequence:
         """Make a sequence with the preset's camera, noise and unit, named after its folder."""
         camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
         name = sequence_name(folder)
-        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register)
+        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register, notes)
 
     def __len__(self) -> int:
         """Return the number of pairs, readable or not."""
@@ -100,12 +103,23 @@ class ImageSequence:
 
 def color_size(folder: Path, pairs: Sequence[StampPair]) -> tuple[int, int]:
     """Return width and height of the first readable colour image; raises `SourceError`."""
+    return _first_size(folder, (pair.color.path for pair in pairs), 'colour', read_color_file)
+
+
+def depth_size(folder: Path, paths: Iterable[str]) -> tuple[int, int]:
+    """Return width and height of the first readable depth image; raises `SourceError`."""
+    return _first_size(folder, paths, 'depth', read_depth_file)
+
+
+def _first_size(
+    folder: Path, paths: Iterable[str], what: str, read: Callable[[Path, str], NDArray[Any]]
+) -> tuple[int, int]:
     reason: object = 'there are no images'
-    for pair in pairs:
+    for path in paths:
         try:
-            height, width = read_color_file(folder, pair.color.path).shape[:2]
+            height, width = read(folder, path).shape[:2]
         except FrameError as error:
             reason = error
         else:
             return width, height
-    raise SourceError(f'{folder}: no readable colour image tells its size: {reason}')
+    raise SourceError(f'{folder}: no readable {what} image tells its size: {reason}')

@@ -67,9 +67,14 @@ class FrameReader:
         with self._lock:
             self._cameras[kind].add(stamp_ns(info.header.stamp), camera)
 
-    def read(self, pair: ImagePair[Image, Image]) -> tuple[RgbdFrame, PinholeCamera]:
-        """Return the frame of two messages, and its camera; raises a `DcgsError` without one."""
-        color, depth = read_color(pair.color), read_depth(pair.depth)
+    def read(
+        self, pair: ImagePair[Image, Image], depth_per_metre: float | None = None
+    ) -> tuple[RgbdFrame, PinholeCamera]:
+        """Return the frame of two messages, and its camera; raises a `DcgsError` without one.
+
+        `depth_per_metre` is the value of a depth pixel at one metre; None: as in ROS.
+        """
+        color, depth = read_color(pair.color), read_depth(pair.depth, depth_per_metre)
         with self._lock:
             color_camera = self._cameras['color'].at(pair.color_ns)
             depth_camera = self._cameras['depth'].at(pair.depth_ns)

@@ -46,6 +46,7 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.lens_camera import Camera, LensCamera
 from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.images.resampling import scaled
+from dcgs_ros.datasets.options import SourceOptions
 from dcgs_ros.datasets.source import BadFrame, SourceError
 
 PLAIN = PinholeCamera(160, 120, 131.0, 131.0, 79.0, 60.0)
@@ -249,18 +250,27 @@ def test_registered_depth_in_depths_frame_is_not_registered_again(
 
 def test_the_user_overrides_what_is_decided(bag: Bag) -> None:
     path = bag(aligned_in_depths_frame())
-    source = BagSource(path, registration='extrinsics')
+    source = BagSource(path, options=SourceOptions(depth_registration='extrinsics'))
     assert source.recorded.registration.T_colorcam_depthcam is not None
     assert np.abs(frames_of(source)[0].depth_m - plane_m(PLAIN)).max() > NEAR_M
     with pytest.raises(SourceError, match='no extrinsics'):
-        BagSource(write_bag(path.with_name('bare'), aligned_in_depths_frame()[1:]),
-                  registration='extrinsics')  # fmt: skip
+        BagSource(
+            write_bag(path.with_name('bare'), aligned_in_depths_frame()[1:]),
+            options=SourceOptions(depth_registration='extrinsics'),
+        )
 
 
-def test_unregistered_depth_may_be_declared_registered(bag: Bag) -> None:
+def test_unregistered_depth_may_be_declared_registered(
+    bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = replace(PLAIN, cx=75.0)
     infos = [info_entry(START_NS, PLAIN), info_entry(START_NS, other, DEPTH_INFO)]
     path = bag([*infos, *shot(0, PLAIN, PLAIN, DEPTH_OPTICAL, UNALIGNED)])
-    with pytest.raises(SourceError, match=r'no extrinsics.*registration=none'):
+    with pytest.raises(SourceError, match=r'no extrinsics.*depth_registration=none'):
         BagSource(path)
-    assert len(frames_of(BagSource(path, registration='none'))) == 1
+    for words in (
+        [str(path), '--depth-registration', 'none'],
+        [f'{path}?depth_registration=none'],
+    ):
+        assert main(['info', *words]) == 0
+        assert 'as recorded, as you say' in capsys.readouterr().out

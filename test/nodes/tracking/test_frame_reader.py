@@ -24,7 +24,7 @@ from dcgs_ros.core.lens_camera import Camera, LensCamera
 from dcgs_ros.datasets.images.registration import RegistrationChoice, RegistrationError
 from dcgs_ros.datasets.images.resampling import scaled
 from dcgs_ros.io.ros_images import MessageError
-from dcgs_ros.nodes.messages.images import header, write_color, write_depth
+from dcgs_ros.nodes.messages.images import header, write_color, write_depth, write_depth_mm
 from dcgs_ros.nodes.tracking.frame_reader import FrameReader
 from dcgs_ros.nodes.tracking.pairing import ImagePair
 
@@ -200,6 +200,24 @@ def test_the_camera_of_a_map_stays_when_depths_intrinsics_come() -> None:
     node.reader.on_info('depth', info(other))
     frame, after = node.read(color, other)
     assert before == after and frame.depth_m.shape == (before.height, before.width)
+
+
+UNITS = {
+    'millimetres': (write_depth_mm, 1.0, None),
+    'metres': (write_depth, 1.0, None),
+    'quarters of a millimetre': (write_depth_mm, 4.0, 4000.0),
+    'floats in millimetres': (write_depth, 1000.0, 1000.0),
+}
+
+
+@pytest.mark.parametrize('unit', UNITS)
+def test_depth_is_read_in_ros_units_or_the_one_that_is_told(unit: str) -> None:
+    node, depth_m = Node(), np.full((120, 160), 1.5, np.float32)
+    node.reader.on_info('color', info(PLAIN))
+    write, factor, per_metre = UNITS[unit]
+    head = header(0, 'optical')
+    pair = ImagePair(0, write_color(texture(PLAIN), head), 0, write(factor * depth_m, head))
+    np.testing.assert_array_equal(node.reader.read(pair, per_metre)[0].depth_m, depth_m)
 
 
 def test_an_image_of_another_size_than_its_camera_is_refused() -> None:

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.sensor import SensorNoise
+from ...io.images.transports import image_size, is_compressed
 from ...io.ros_images import MessageError, read_camera
 from ..camera_presets import PRESETS
 from ..images.depth_registration import register_depth
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
 from .extrinsics import find_T_colorcam_depthcam, first_messages
-from .images import color_of, depth_of, image_size, is_compressed
+from .images import color_of, depth_of
 from .recording import custom_data
 from .topics import CameraTopics, camera_topics, viewer_stream
 

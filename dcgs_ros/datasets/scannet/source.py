@@ -18,11 +18,11 @@ from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
+from ...io.images.decoding import read_depth_file
 from ...io.trajectory import read_tum
 from ..camera_presets import PRESETS
 from ..images.association import StampPair
 from ..images.color_resampling import ColorResampling
-from ..images.decoding import read_depth_file
 from ..images.indexed_frames import pair_by_index
 from ..images.sequence import ImageSequence, color_size
 from ..parsing.pose_matrices import read_matrix, read_pose, rigid_trajectory

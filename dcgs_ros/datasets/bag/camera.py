@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
-from ...core.errors import DcgsError
+from ...core.errors import DcgsError, FrameError
 from ...core.sensor import SensorNoise
-from ...io.images.transports import image_size, is_compressed
-from ...io.ros_images import MessageError, read_camera
+from ...io.images.transports import image_size, is_compressed, read_color, read_depth
+from ...io.ros_images import MessageError, UnknownEncodingError, read_camera
 from ..camera_presets import PRESETS
 from ..images.depth_registration import register_depth
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
-from .extrinsics import find_T_colorcam_depthcam, first_messages
+from .extrinsics import find_T_colorcam_depthcam
 from .images import color_of, depth_of
-from .recording import custom_data
+from .recording import custom_data, first_messages
 from .topics import CameraTopics, camera_topics, viewer_stream
 
 _SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
@@ -83,6 +83,7 @@ def find_camera(
         for topic in (topics.color, topics.depth):
             if topic not in first:
                 raise SourceError(f'no message of {topic} can be read')
+        _check_encodings(topics, first)
         first.update(first_messages(path, filter(None, (topics.camera_info, topics.depth_info))))
         camera = _color_camera(text, topics, first)
         mount = _find_mount(path, topics, first)
@@ -93,6 +94,17 @@ def find_camera(
         return RecordedCamera(topics, camera, sensor, per_metre, mount, as_published)
     except DcgsError as error:
         raise SourceError(f'{path}: {error}') from error
+
+
+def _check_encodings(topics: CameraTopics, first: dict[str, Any]) -> None:
+    """Raise `SourceError` where no image of a topic can be read; one that is damaged may."""
+    for topic, read in ((topics.color, read_color), (topics.depth, read_depth)):
+        try:
+            read(first[topic])
+        except UnknownEncodingError as error:
+            raise SourceError(f'{topic}: {error}') from error
+        except (FrameError, MessageError):
+            pass
 
 
 def _color_camera(text: str | None, topics: CameraTopics, first: dict[str, Any]) -> PinholeCamera:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from ..core.camera import PinholeCamera
@@ -27,7 +26,7 @@ from .health import LOADING
 from .lifetime import Worker, run
 from .messages.diagnostics import diagnostics
 from .parameters import Parameters
-from .tracking.camera_subscriber import CameraSubscriber, read_frame
+from .tracking.camera_subscriber import CameraSubscriber, SomeImage, read_frame
 from .tracking.health import judge
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
@@ -86,6 +85,7 @@ class TrackerNode(Node):
     def _work(self) -> None:
         """Load the kernels, then track every pair until closed."""
         warm_up(ANY_CAMERA, self._params.settings)
+        self._camera.warm_up()
         self._resume()
         self._ready = True
         self.get_logger().info('ready')
@@ -108,7 +108,7 @@ class TrackerNode(Node):
             sizes = f'{len(found.rows)} Gaussians, {len(found.poses)} keyframes'
             self.get_logger().info(f'going on in a map of {sizes}')
 
-    def _track(self, pair: ImagePair[Image, Image], camera: PinholeCamera) -> None:
+    def _track(self, pair: ImagePair[SomeImage, SomeImage], camera: PinholeCamera) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
         frame, camera_frame = read_frame(pair), pair.color.header.frame_id
         session, to_base = self._session, self._outputs.camera_to_base(camera_frame)

@@ -119,7 +119,7 @@ def _strangeness(pair: tuple[Stream, Stream]) -> tuple[float, ...]:
         color.is_odd + depth.is_odd,
         to_another,
         color.kind == 'grey',
-        len(apart) + 0.5 * ('right' in apart),  # stereo cameras register depth to the left image
+        len(apart),
     )
 
 

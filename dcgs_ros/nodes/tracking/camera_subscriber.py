@@ -7,21 +7,27 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import TypeAlias
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from ...core.camera import PinholeCamera
 from ...core.config.nodes import TrackerNodeSettings
 from ...core.errors import DcgsError
 from ...core.frame import RgbdFrame
-from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
+from ...io.images.rvl import decode_rvl
+from ...io.images.transports import COLOR_TRANSPORTS, DEPTH_TRANSPORTS, read_color, read_depth
+from ...io.ros_images import MessageError, read_camera, stamp_ns
 from ..transport import sensor_qos
 from ..work_queue import WorkQueue
 from .health import Streams
 from .pairing import ImagePair, ImagePairing
 
+SomeImage: TypeAlias = Image | CompressedImage
+
 _CAMERA = '/camera/camera'
+_ONE_PIXEL = bytes([1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0x10])  # in RVL
 _WAITING_PAIRS = 4  # newer pairs push out older ones; a stall of a tenth of a second loses none
 
 
@@ -33,18 +39,31 @@ class CameraSubscriber:
     ) -> None:
         """Subscribe."""
         self.camera: PinholeCamera | None = None
-        self.queue: WorkQueue[ImagePair[Image, Image]] = WorkQueue(_WAITING_PAIRS)
-        self.pairing: ImagePairing[Image, Image] = ImagePairing(int(1e9 * settings.sync_slop_s))
+        self.queue: WorkQueue[ImagePair[SomeImage, SomeImage]] = WorkQueue(_WAITING_PAIRS)
+        self.pairing: ImagePairing[SomeImage, SomeImage] = ImagePairing(
+            int(1e9 * settings.sync_slop_s)
+        )
         self.counts = {'color': 0, 'depth': 0, 'pairs': 0}
         self._reported = self._totals()
         self._received_s = time.monotonic()
         self._warn = warn
+        self._settings = settings
         qos = sensor_qos(settings.reliability)
         color, depth = f'{_CAMERA}/color', f'{_CAMERA}/aligned_depth_to_color'
-        subscribe = node.create_subscription
-        subscribe(Image, f'{color}/image_raw', partial(self._on_image, 'color'), qos)
-        subscribe(Image, f'{depth}/image_raw', partial(self._on_image, 'depth'), qos)
-        subscribe(CameraInfo, f'{color}/camera_info', self._on_camera, qos)
+        for kind, stream, suffix in (
+            ('color', color, COLOR_TRANSPORTS[settings.color_transport]),
+            ('depth', depth, DEPTH_TRANSPORTS[settings.depth_transport]),
+        ):
+            # As image_transport does it, a raw topic that is remapped takes its transports along.
+            topic = node.resolve_topic_name(f'{stream}/image_raw') + suffix
+            type_ = CompressedImage if suffix else Image
+            node.create_subscription(type_, topic, partial(self._on_image, kind), qos)
+        node.create_subscription(CameraInfo, f'{color}/camera_info', self._on_camera, qos)
+
+    def warm_up(self) -> None:
+        """Compile what decodes depth, before the first image has to wait for it."""
+        if self._settings.depth_transport == 'compressedDepth':
+            decode_rvl(_ONE_PIXEL, 'depth')
 
     def _on_camera(self, info: CameraInfo) -> None:
         try:
@@ -52,7 +71,7 @@ class CameraSubscriber:
         except DcgsError as error:
             self._warn(f'camera_info refused: {error}')
 
-    def _on_image(self, kind: str, image: Image) -> None:
+    def _on_image(self, kind: str, image: SomeImage) -> None:
         self.counts[kind] += 1
         self._received_s = time.monotonic()
         add = self.pairing.color if kind == 'color' else self.pairing.depth
@@ -81,7 +100,7 @@ class CameraSubscriber:
         }
 
 
-def read_frame(pair: ImagePair[Image, Image]) -> RgbdFrame:
+def read_frame(pair: ImagePair[SomeImage, SomeImage]) -> RgbdFrame:
     """Return the frame of two messages; raise a `DcgsError` where they cannot form one."""
     color, depth = pair.color, pair.depth
     frames = color.header.frame_id, depth.header.frame_id

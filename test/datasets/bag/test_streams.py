@@ -131,6 +131,12 @@ def pairs_of(names: list[str], color: str = '', depth: str = '') -> list[tuple[s
             '/front_stereo_camera/left/image_rect_color',
             '/front_stereo_camera/depth',
         ),
+        (
+            ['/d/sensor_0/ir/image', '/d/sensor_0/depth/image', '/d/sensor_1/color/image'],
+            '/d/sensor_1/color/image',
+            '/d/sensor_0/depth/image',
+        ),
+        (['/a/image', '/a/rgb/image', '/a/depth/image'], '/a/rgb/image', '/a/depth/image'),
         (['/rgb', '/depth', '/semantic_segmentation'], '/rgb', '/depth'),
         (
             ['/rgbd_camera/image', '/rgbd_camera/depth_image'],

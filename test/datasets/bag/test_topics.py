@@ -229,6 +229,13 @@ def test_transports_may_stand_anywhere_in_the_name(
     check_depth(path)
 
 
+def test_a_raw_image_is_preferred_to_a_compressed_one_of_another_name(bag: Bag) -> None:
+    raw = ['/a/color/image', '/a/depth/image']
+    small = [jpeg('/a/color/compressed'), depth_png('/a/depth/compressedDepth')]
+    path = bag([color(raw[0]), depth(raw[1]), *small, info('/a/color/camera_info')])
+    assert chosen(path)[:2] == (*raw,)
+
+
 def test_intrinsics_of_another_camera_are_none(bag: Bag) -> None:
     images = [color('/front/rgb/image'), depth('/front/depth/image')]
     for other in ('/rear/rgb/camera_info', '/front/ir/camera_info', '/front_wide/rgb_info'):

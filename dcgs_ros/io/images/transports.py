@@ -27,6 +27,7 @@ DEPTH_TRANSPORTS = {
     'zstd': '/zstd',
     'compressed': '/compressed',
 }
+CODECS = {'colour': ('png', 'jpeg'), 'depth': ('png', 'rvl')}  # of the two compressed transports
 
 _PNG = b'\x89PNG\r\n\x1a\n'
 _DEPTH_HEADER = struct.Struct('<Iff')  # compressed_depth_image_transport's: format, A, B
@@ -103,7 +104,7 @@ def read_depth(message: Any, per_metre: float = MM_PER_M) -> NDArray[np.float32]
     else:
         _check_codec('depth', message, data)
         raw = decode_depth(data, _name('depth', message))
-    if not (header and message.format.startswith('32FC1')):
+    if not (header and encoding_of(message) == '32FC1'):
         return raw.astype(np.float32) / np.float32(per_metre)
     _, a, b = _DEPTH_HEADER.unpack(header)
     with np.errstate(all='ignore'):  # A and B may be damaged
@@ -120,10 +121,9 @@ def _check_codec(what: str, message: Any, data: bytes) -> None:
     """Raise `UnknownEncodingError` for what is no damaged PNG or JPEG either."""
     said = message.format.lower()
     if not is_png_or_jpeg(data) and not any(name in said for name in ('png', 'jp', 'compressedd')):
+        known = ', '.join((*CODECS[what], 'zstd'))
         raise UnknownEncodingError(
-            f'{what} is compressed as {message.format[:40]!r}, not as one of png, jpeg'
-            + (', rvl' if what == 'depth' else '')
-            + ', zstd'
+            f'{what} is compressed as {message.format[:40]!r}, not as one of {known}'
         )
 
 
@@ -138,7 +138,7 @@ def _is_rvl(message: Any, data: bytes) -> bool:
 
 
 def _is_zstd(message: Any) -> bool:
-    return message.format.strip().lower() == 'zstd'
+    return 'zstd' in message.format.lower()
 
 
 def _head(message: Any) -> Any:

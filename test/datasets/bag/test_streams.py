@@ -144,6 +144,7 @@ def pairs_of(names: list[str], color: str = '', depth: str = '') -> list[tuple[s
             '/rgbd_camera/depth_image',
         ),
         (['/rgbImage', '/depthImage'], '/rgbImage', '/depthImage'),
+        (['/frontColor', '/rearColor', '/frontDepth'], '/frontColor', '/frontDepth'),
         (
             ['/a/color/image', '/a/depth/image', '/keyframe/color', '/keyframe/depth',
              '/render/color', '/render/depth'],

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from ..core.config.nodes import TrackerSettings, core_config
@@ -27,6 +26,7 @@ from .lifetime import Worker, run
 from .messages.diagnostics import diagnostics
 from .parameters import Parameters
 from .tracking.camera_subscriber import CameraSubscriber
+from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
@@ -85,6 +85,7 @@ class TrackerNode(Node):
     def _work(self) -> None:
         """Load the kernels, then track every pair until closed."""
         warm_up(ANY_CAMERA, self._params.settings)
+        self._camera.warm_up()
         self._resume()
         self._ready = True
         self.get_logger().info('ready')
@@ -107,7 +108,7 @@ class TrackerNode(Node):
             sizes = f'{len(found.rows)} Gaussians, {len(found.poses)} keyframes'
             self.get_logger().info(f'going on in a map of {sizes}')
 
-    def _track(self, pair: ImagePair[Image, Image]) -> None:
+    def _track(self, pair: ImagePair[SomeImage, SomeImage]) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
         per_metre = self._params.settings.node.depth_per_metre
         frame, camera = self._camera.reader.read(pair, per_metre)

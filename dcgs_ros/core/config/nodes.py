@@ -39,6 +39,16 @@ class TrackerNodeSettings(Stage):
         'Reliability of the image subscriptions: best_effort for a live camera, reliable for a '
         'replay of which no frame may be lost.',
     )
+    color_transport: Literal['raw', 'zstd', 'compressed'] = described(
+        'raw',
+        'How colour is sent, as image_transport names it: compressed subscribes to '
+        'CompressedImage on the topic of the raw image with /compressed after it.',
+    )
+    depth_transport: Literal['raw', 'compressedDepth', 'zstd', 'compressed'] = described(
+        'raw',
+        'How depth is sent, likewise: compressedDepth subscribes to the topic of the raw image '
+        'with /compressedDepth after it.',
+    )
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
     )

@@ -15,10 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import CameraError, PinholeCamera
-from ...core.errors import DcgsError
+from ...core.errors import DcgsError, FrameError
 from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
-from ...io.ros_images import MessageError, depth_unit, read_camera
+from ...io.images.transports import (
+    encoding_of,
+    image_size,
+    is_compressed,
+    read_color,
+    read_depth,
+)
+from ...io.ros_images import MessageError, UnknownEncodingError, depth_unit, read_camera
 from ..camera_presets import PRESETS
 from ..images.camera_timeline import check_same
 from ..images.registration import (
@@ -31,10 +38,10 @@ from ..images.resampling import scaled
 from ..options import AS_STORED, RegistrationChoice, SourceOptions
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
-from .extrinsics import find_T_colorcam_depthcam, first_messages
-from .images import color_of, depth_of, image_size, is_compressed
+from .extrinsics import find_T_colorcam_depthcam
+from .images import color_of, depth_of
 from .messages import decode
-from .recording import custom_data, raw_messages
+from .recording import custom_data, first_messages, raw_messages
 from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
@@ -97,13 +104,14 @@ def find_camera(
         for topic in (topics.color, topics.depth):
             if topic not in first:
                 raise SourceError(f'no message of {topic} can be read')
+        _check_encodings(topics, first)
         color = _color_camera(path, text, topics, first)
         sizes = [image_size(first[topic]) for topic in (topics.color, topics.depth)]
         depth, _ = first_camera(path, topics.depth_info)
         asked = options.depth_registration
         registered = _registration(path, topics, first, sizes, color, depth, asked)
         sensor = _find_sensor(path, text, registered, depth)
-        unit = _standard_unit(first[topics.depth])
+        unit = depth_unit(encoding_of(first[topics.depth]))
         per_metre = options.depth_per_metre or _depth_per_metre(path, topics, unit)
         compressed = any(is_compressed(first[topic]) for topic in (topics.color, topics.depth))
         plain = registered.as_recorded and sizes[0] == sizes[1] and registered.camera == color
@@ -113,6 +121,17 @@ def find_camera(
         )  # fmt: skip
     except DcgsError as error:
         raise SourceError(f'{path}: {error}') from error
+
+
+def _check_encodings(topics: CameraTopics, first: dict[str, Any]) -> None:
+    """Raise `SourceError` where no image of a topic can be read; one that is damaged may."""
+    for topic, read in ((topics.color, read_color), (topics.depth, read_depth)):
+        try:
+            read(first[topic])
+        except UnknownEncodingError as error:
+            raise SourceError(f'{topic}: {error}') from error
+        except (FrameError, MessageError):
+            pass
 
 
 def _color_camera(
@@ -167,11 +186,6 @@ def _registration(
         asked, streams[0], color, streams[1],
         lambda: find_T_colorcam_depthcam(path, topics, frames),
     )  # fmt: skip
-
-
-def _standard_unit(depth: Any) -> float:
-    """Return the value at one metre of an Image or CompressedImage of depth in ROS's units."""
-    return depth_unit(depth.format if is_compressed(depth) else depth.encoding)
 
 
 def _depth_per_metre(path: Path | str, topics: CameraTopics, standard: float) -> float:

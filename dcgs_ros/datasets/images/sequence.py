@@ -17,10 +17,10 @@ from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
+from ...io.images.decoding import read_color_file, read_depth_file
 from ..camera_presets import CameraPreset
 from ..source import BadFrame, ImuSample, SourceError, sequence_name
 from .association import StampPair
-from .decoding import read_color_file, read_depth_file
 
 # Colour (H, W, 3) RGB, depth (H, W) in metres.
 ColorDepth = tuple[NDArray[np.uint8], NDArray[np.float32]]

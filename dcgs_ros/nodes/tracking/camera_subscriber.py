@@ -7,21 +7,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from ...core.config.nodes import TrackerNodeSettings
 from ...core.errors import DcgsError
+from ...io.images.rvl import decode_rvl
+from ...io.images.transports import COLOR_TRANSPORTS, DEPTH_TRANSPORTS
 from ...io.ros_images import stamp_ns
 from ..transport import sensor_qos
 from ..work_queue import WorkQueue
-from .frame_reader import FrameReader, Lookup
+from .frame_reader import FrameReader, Lookup, SomeImage
 from .health import Streams
 from .pairing import ImagePair, ImagePairing
 
 _CAMERA = '/camera/camera'
+_ONE_PIXEL = bytes([1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0x10])  # in RVL
 _WAITING_PAIRS = 4  # newer pairs push out older ones; a stall of a tenth of a second loses none
 
 
@@ -36,30 +38,44 @@ class CameraSubscriber:
         lookup: Lookup,
     ) -> None:
         """Subscribe; `lookup` asks TF for T_parent_child."""
-        self.queue: WorkQueue[ImagePair[Image, Image]] = WorkQueue(_WAITING_PAIRS)
-        self.pairing: ImagePairing[Image, Image] = ImagePairing(int(1e9 * settings.sync_slop_s))
+        self.queue: WorkQueue[ImagePair[SomeImage, SomeImage]] = WorkQueue(_WAITING_PAIRS)
+        self.pairing: ImagePairing[SomeImage, SomeImage] = ImagePairing(
+            int(1e9 * settings.sync_slop_s)
+        )
         self.counts = {'color': 0, 'depth': 0, 'pairs': 0}
         self._reported = self._totals()
         self._received_s = time.monotonic()
         self._warn = warn
+        self._settings = settings
         qos = sensor_qos(settings.reliability)
         color, depth = f'{_CAMERA}/color', f'{_CAMERA}/aligned_depth_to_color'
-        subscribe = node.create_subscription
-        subscribe(Image, f'{color}/image_raw', partial(self._on_image, 'color'), qos)
-        subscribe(Image, f'{depth}/image_raw', partial(self._on_image, 'depth'), qos)
-        subscribe(CameraInfo, f'{color}/camera_info', partial(self._on_info, 'color'), qos)
-        subscribe(CameraInfo, f'{depth}/camera_info', partial(self._on_info, 'depth'), qos)
-        names = [node.resolve_topic_name(f'{stream}/image_raw') for stream in (color, depth)]
+        topics = []
+        for kind, stream, suffix in (
+            ('color', color, COLOR_TRANSPORTS[settings.color_transport]),
+            ('depth', depth, DEPTH_TRANSPORTS[settings.depth_transport]),
+        ):
+            # As image_transport does it, a raw topic that is remapped takes its transports along.
+            topics.append(node.resolve_topic_name(f'{stream}/image_raw') + suffix)
+            type_ = CompressedImage if suffix else Image
+            node.create_subscription(type_, topics[-1], partial(self._on_image, kind), qos)
+        for kind, stream in (('color', color), ('depth', depth)):
+            callback = partial(self._on_info, kind)
+            node.create_subscription(CameraInfo, f'{stream}/camera_info', callback, qos)
         tell = node.get_logger().info
-        self.reader = FrameReader(settings.depth_registration, (names[0], names[1]), lookup, tell)
+        self.reader = FrameReader(settings.depth_registration, topics, lookup, tell)
 
-    def _on_info(self, kind: Literal['color', 'depth'], info: CameraInfo) -> None:
+    def warm_up(self) -> None:
+        """Compile what decodes depth, before the first image has to wait for it."""
+        if self._settings.depth_transport == 'compressedDepth':
+            decode_rvl(_ONE_PIXEL, 'depth')
+
+    def _on_info(self, kind: str, info: CameraInfo) -> None:
         try:
             self.reader.on_info(kind, info)
         except DcgsError as error:
             self._warn(f'camera_info of {kind} refused: {error}')
 
-    def _on_image(self, kind: str, image: Image) -> None:
+    def _on_image(self, kind: str, image: SomeImage) -> None:
         self.counts[kind] += 1
         self._received_s = time.monotonic()
         add = self.pairing.color if kind == 'color' else self.pairing.depth

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from ...core.camera import PinholeCamera
 from ...core.frame import RgbdFrame
@@ -23,8 +23,11 @@ from ...datasets.images.registration import (
     Stream,
     find_registration,
 )
-from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
+from ...io.images.transports import read_color, read_depth
+from ...io.ros_images import MessageError, read_camera, stamp_ns
 from .pairing import ImagePair
+
+SomeImage: TypeAlias = Image | CompressedImage
 
 _KEPT = 64  # changes of the intrinsics: two seconds of a camera that focuses
 
@@ -40,7 +43,7 @@ class FrameReader:
     def __init__(
         self,
         choice: RegistrationChoice,
-        topics: tuple[str, str],
+        topics: Sequence[str],
         lookup: Lookup,
         tell: Callable[[str], None],
     ) -> None:
@@ -57,8 +60,8 @@ class FrameReader:
         self._made_for: object = None
         self._told = ''
 
-    def on_info(self, kind: Literal['color', 'depth'], info: CameraInfo) -> None:
-        """Take the intrinsics of a camera from now on; raises a `DcgsError` for unusable ones."""
+    def on_info(self, kind: str, info: CameraInfo) -> None:
+        """Take the intrinsics of 'color' or 'depth'; raises a `DcgsError` for unusable ones."""
         fields = info.width, info.height, info.distortion_model, info.k.tobytes(), bytes(info.d)
         if self._repeated.get(kind) == fields:
             return
@@ -68,7 +71,7 @@ class FrameReader:
             self._cameras[kind].add(stamp_ns(info.header.stamp), camera)
 
     def read(
-        self, pair: ImagePair[Image, Image], depth_per_metre: float | None = None
+        self, pair: ImagePair[SomeImage, SomeImage], depth_per_metre: float | None = None
     ) -> tuple[RgbdFrame, PinholeCamera]:
         """Return the frame of two messages, and its camera; raises a `DcgsError` without one.
 

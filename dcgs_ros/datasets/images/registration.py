@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ from ...core.lens_camera import Camera, LensCamera
 from ..options import RegistrationChoice
 from .depth_registration import register_depth
 from .resampling import moved_px, resample_color, resample_depth, scaled
-from .sequence import ColorDepth
 
 AS_RECORDED = 'as recorded'  # the reason where nothing is to be said
 
@@ -63,7 +63,7 @@ class Registration:
         depth_m: NDArray[np.float32],
         color_camera: Camera,
         depth_camera: Camera | None,
-    ) -> ColorDepth:
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return colour (H, W, 3) or (H, W) and depth (H, W), metres, of `camera`.
 
         The cameras are those of these very images; depth's is not needed `by_size`. Raises
@@ -78,6 +78,31 @@ class Registration:
             depth_m = resample_depth(depth_m, depth_camera, even)
             depth_m = register_depth(depth_m, even, self.T_colorcam_depthcam, self.camera)
         return resample_color(color, color_camera, self.camera), depth_m
+
+
+@dataclass(frozen=True)
+class SizeRegistration:
+    """Registers depth that shows what colour does, at its own size; `ImageSequence.register`."""
+
+    color_camera: PinholeCamera
+    depth_size: tuple[int, int]  # width and height
+
+    @cached_property
+    def depth_camera(self) -> PinholeCamera:
+        """Camera of the depth images."""
+        return scaled(self.color_camera, *self.depth_size)
+
+    @cached_property
+    def camera(self) -> PinholeCamera:
+        """Camera of the frames: colour's, shrunk if depth is much coarser."""
+        return _shrunk(self.color_camera, self.depth_camera)
+
+    def __call__(
+        self, color: NDArray[np.uint8], depth_m: NDArray[np.float32]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return colour and depth of `camera`; raises `FrameError` for images of other sizes."""
+        depth_m = resample_depth(depth_m, self.depth_camera, self.camera)
+        return resample_color(color, self.color_camera, self.camera), depth_m
 
 
 def rectified(camera: Camera) -> PinholeCamera:
@@ -157,10 +182,14 @@ def _bare(camera: Camera) -> PinholeCamera:
     return PinholeCamera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Return whether images of two widths and heights may show the same view."""
+    return abs(one[0] * other[1] / (one[1] * other[0]) - 1.0) < _SAME_SHAPE
+
+
 def _check_shape(color: Stream, depth: Stream, by_size: bool) -> None:
     """Raise `RegistrationError` where depth cannot show what colour does, only scaled."""
-    ratio = color.size[0] * depth.size[1] / (color.size[1] * depth.size[0])
-    if by_size and abs(ratio - 1.0) > _SAME_SHAPE:
+    if by_size and not same_shape(color.size, depth.size):
         raise RegistrationError(
             f'depth is {depth.size[0]}x{depth.size[1]} pixels, colour {color.size[0]}x'
             f'{color.size[1]}, of another shape, and no CameraInfo of {depth.topic} tells which '
@@ -169,9 +198,15 @@ def _check_shape(color: Stream, depth: Stream, by_size: bool) -> None:
 
 
 def _target(color: Camera, depth: Stream, by_size: bool) -> PinholeCamera:
-    """Return the camera of the frames: colour's, shrunk if depth is much coarser."""
+    """Return the camera of the frames."""
     camera = rectified(color)
-    coarse = scaled(camera, *depth.size) if by_size or depth.camera is None else depth.camera
+    if by_size or depth.camera is None:
+        return _shrunk(camera, scaled(camera, *depth.size))
+    return _shrunk(camera, depth.camera)
+
+
+def _shrunk(camera: PinholeCamera, coarse: Camera) -> PinholeCamera:
+    """Return colour's camera, shrunk if depth is much coarser."""
     factor = max(coarse.fx / camera.fx, _LEAST_WIDTH / camera.width)
     if factor * _COARSER > 1.0:
         return camera

@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,7 @@ from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
 _SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
+_SIZED = 5  # images that tell the size of depth
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 
@@ -106,7 +109,8 @@ def find_camera(
                 raise SourceError(f'no message of {topic} can be read')
         _check_encodings(topics, first)
         color = _color_camera(path, text, topics, first)
-        sizes = [image_size(first[topic]) for topic in (topics.color, topics.depth)]
+        size = color.width, color.height
+        sizes = [size, _usual_size(path, topics.depth) or size]
         depth, _ = first_camera(path, topics.depth_info)
         asked = options.depth_registration
         registered = _registration(path, topics, first, sizes, color, depth, asked)
@@ -165,6 +169,16 @@ def first_camera(path: Path | str, topic: str | None) -> tuple[Camera | None, Dc
             except (MessageError, CameraError) as error:
                 first_error = first_error or error
     return None, first_error
+
+
+def _usual_size(path: Path | str, topic: str) -> tuple[int, int] | None:
+    """Return the width and height that most of the first images have: one may be damaged."""
+    sizes: Counter[tuple[int, int]] = Counter()
+    with suppress(DamagedError):
+        for message in islice(raw_messages(path, [topic]), _SIZED):
+            with suppress(MessageError, FrameError):
+                sizes[image_size(decode(message.cdr, message.type))] += 1
+    return max(sizes, key=lambda size: sizes[size], default=None)
 
 
 def _registration(

@@ -1,11 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a node is doing, as /diagnostics shows it; no ROS in it."""
+"""How a node is doing, as /diagnostics and its log show it; no ROS in it."""
 
 from __future__ import annotations
 
+import re
+import time
 from dataclasses import dataclass
 from enum import IntEnum
+
+_NUMBER_OR_NAME = re.compile(r"-?\d+(\.\d+)?|'[^']*'|\"[^\"]*\"")
+_FORGOTTEN_S = 60.0  # after which a cause that comes again is new
+_PAUSE_S = 5.0  # between messages that begin alike
+_KINDS = 100  # of messages that are told apart
 
 
 class Level(IntEnum):
@@ -22,6 +29,49 @@ class Verdict:
 
     level: Level
     message: str
+    logged: bool = False  # as an event, when it happened
 
 
-LOADING = Verdict(Level.WARN, 'loading the kernels: a minute the first time, else seconds')
+LOADING = Verdict(
+    Level.WARN, 'loading the kernels: a minute the first time, else seconds', logged=True
+)
+
+
+class News:
+    """Tells causes that are new from those that last, whatever their numbers."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._seen_s: dict[str, float] = {}  # monotonic time by cause
+
+    def is_new(self, text: str) -> bool:
+        """Return whether a cause has not been seen for a minute."""
+        cause, now = _kind(text), time.monotonic()
+        lasts = now - self._seen_s.get(cause, -_FORGOTTEN_S) < _FORGOTTEN_S
+        self._seen_s[cause] = now
+        return not lasts
+
+
+class Throttle:
+    """Holds back messages that repeat, each for itself: none hides one of another kind."""
+
+    def __init__(self) -> None:
+        """Start with nothing said."""
+        self._said: set[str] = set()
+        self._due_s: dict[str, float] = {}  # monotonic time by how a message begins
+
+    def admits(self, text: str) -> bool:
+        """Return whether to say it: for the first time, or seconds after one that began alike."""
+        kind, now = _kind(text), time.monotonic()
+        begins = kind.partition(':')[0]
+        known = kind in self._said or len(self._said) >= _KINDS
+        if known and now < self._due_s.get(begins, now):
+            return False
+        self._said.add(kind)
+        self._due_s[begins] = now + _PAUSE_S
+        return True
+
+
+def _kind(text: str) -> str:
+    """Return a message without its numbers and names."""
+    return _NUMBER_OR_NAME.sub('#', text)

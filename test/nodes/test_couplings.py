@@ -23,6 +23,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
@@ -271,3 +272,46 @@ def test_the_failure_of_a_node_is_not_that_of_another_in_its_process(
     )  # fmt: skip
     assert 'of this node alone' in done.stderr
     assert done.stdout == '1 0\n'
+
+
+def test_while_kernels_are_loaded_services_are_answered_at_once(make: Make) -> None:
+    """And a reset counts for what comes after it."""
+    eye, brain = make(TrackerNode), make(MapperNode)
+    assert eye._on_reset().result(0) and brain._on_reset().result(0)
+    with pytest.raises(DcgsError, match='loading the kernels'):
+        brain._on_save().result(0)
+    epoch = eye._session.epoch
+    assert eye._camera.queue.take(0.0) is None
+    assert eye._session.epoch != epoch
+
+
+@pytest.mark.parametrize('kind', [TrackerNode, MapperNode])
+def test_a_node_that_still_loads_kernels_ends_without_waiting(make: Make, kind: Any) -> None:
+    node, done = make(kind, '-p', 'node.save_on_exit:=true'), list[str]()
+    node._worker = SimpleNamespace(
+        join=lambda: done.append('join'), leave=lambda: done.append('leave')
+    )
+    node.close()
+    assert done == ['leave']
+    node.close = lambda: None
+
+
+def test_reports_go_on_where_simulated_time_stands_still(make: Make) -> None:
+    eye, reports = make(TrackerNode, '-p', 'use_sim_time:=true'), list[Any]()
+    eye._reporter._publisher = SimpleNamespace(publish=reports.append)
+    spin_until(lambda: len(reports) >= 2, eye)
+
+
+def test_each_cause_is_logged_once_at_its_level(
+    make: Make, capfd: pytest.CaptureFixture[str]
+) -> None:
+    eye = make(TrackerNode)
+    eye._camera.begin()
+    eye._ready = True
+    for _ in range(5):
+        eye._camera._received_s -= 7.0
+        eye._reporter.report()
+    eye._ready = False
+    said = [line for line in capfd.readouterr().err.splitlines() if 'no camera_info' in line]
+    assert len(said) == 1 and said[0].startswith('[ERROR]')
+    assert 'nobody publishes /camera/camera/color/camera_info' in said[0]

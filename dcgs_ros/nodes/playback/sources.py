@@ -79,8 +79,7 @@ class BagPlayback:
             topics.color: 'color',
             topics.depth: 'depth',
         }
-        first = next(raw_messages(path, [topics.color]))
-        self.camera_frame = read_header(first.cdr)[1] or camera_frame
+        self.camera_frame = _recorded_frame(path, topics.color, camera_frame)
 
     def items(self) -> Iterator[tuple[int, RawMessage]]:
         """Yield the messages."""
@@ -98,6 +97,12 @@ class BagPlayback:
         return [(self._outputs[item.topic], cdr)]
 
 
+def _recorded_frame(path: Path, topic: str, otherwise: str) -> str:
+    """Return the frame of the first image on a topic, where it has one that is a name."""
+    frame = read_header(next(raw_messages(path, [topic])).cdr)[1]
+    return otherwise if not frame or frame.isdigit() else frame
+
+
 def open_playback(
     source: str, camera: str | None, camera_frame: str, warn: Callable[[str], None]
 ) -> PlaybackSource:
@@ -105,9 +110,11 @@ def open_playback(
 
     Raises a `DcgsError` where it cannot be played.
     """
-    if camera is None and not source.startswith('synthetic:'):  # whose `?` begins no topics
+    if not source.startswith('synthetic:'):  # whose `?` begins no topics
         path, *topics = split_topics(source)
-        recorded = find_camera(path, None, *topics) if is_bag(path) else None
-        if recorded is not None and recorded.as_published:
+        recorded = find_camera(path, camera, *topics) if is_bag(path) else None
+        if recorded is not None and recorded.as_published and camera is None:
             return BagPlayback(path, recorded.topics, camera_frame, warn)
+        if recorded is not None:
+            camera_frame = _recorded_frame(path, recorded.topics.color, camera_frame)
     return FramePlayback(open_source(source, camera), camera_frame, warn)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 _NUMBER_OR_NAME = re.compile(r"-?\d+(\.\d+)?|'[^']*'|\"[^\"]*\"")
-_FORGOTTEN_S = 60.0  # after which a cause that comes again is new
+_FORGOTTEN_S = 60.0  # after which a cause that comes again is another one
 _PAUSE_S = 5.0  # between messages that begin alike
 _KINDS = 100  # of messages that are told apart
 
@@ -38,18 +38,24 @@ LOADING = Verdict(
 
 
 class News:
-    """Tells causes that are new from those that last, whatever their numbers."""
+    """Tells of each cause once while it lasts, whatever its numbers."""
 
     def __init__(self) -> None:
         """Start without any."""
         self._seen_s: dict[str, float] = {}  # monotonic time by cause
+        self._told: set[str] = set()
 
     def is_new(self, text: str) -> bool:
-        """Return whether a cause has not been seen for a minute."""
+        """Return whether to tell of a cause: the second time that it is seen within a minute."""
         cause, now = _kind(text), time.monotonic()
-        lasts = now - self._seen_s.get(cause, -_FORGOTTEN_S) < _FORGOTTEN_S
-        self._seen_s[cause] = now
-        return not lasts
+        last_s, self._seen_s[cause] = self._seen_s.get(cause), now
+        if last_s is None or now - last_s > _FORGOTTEN_S:
+            self._told.discard(cause)
+            return False
+        if cause in self._told:
+            return False
+        self._told.add(cause)
+        return True
 
 
 class Throttle:

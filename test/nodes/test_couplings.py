@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 pytest.importorskip('rclpy')
 
 import rclpy
+from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
@@ -29,12 +30,15 @@ from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.nodes import mapper, replay, tracker
 from dcgs_ros.nodes.mapper import MapperNode
+from dcgs_ros.nodes.messages.clouds import KEYFRAME_POSE, MAP_GAUSSIAN
+from dcgs_ros.nodes.messages.ids import EPOCH
 from dcgs_ros.nodes.messages.images import header, write_camera
 from dcgs_ros.nodes.messages.keyframes import TOPICS, write_keyframe
 from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.messages.poses import pose_stamped
 from dcgs_ros.nodes.replay import ReplayNode
 from dcgs_ros.nodes.tracker import TrackerNode
+from dcgs_ros.nodes.transport import RELIABLE, sensor_qos
 
 HANGS_S = 60.0  # only a failure takes so long
 CAMERA = PinholeCamera(48, 36, 42.0, 42.0, 23.5, 17.5)
@@ -315,3 +319,36 @@ def test_each_cause_is_logged_once_at_its_level(
     said = [line for line in capfd.readouterr().err.splitlines() if 'no camera_info' in line]
     assert len(said) == 1 and said[0].startswith('[ERROR]')
     assert 'nobody publishes /camera/camera/color/camera_info' in said[0]
+
+
+def test_a_publisher_of_another_reliability_is_named_as_the_cause(make: Make) -> None:
+    eye, other = make(TrackerNode, '-p', 'node.reliability:=reliable'), make(lambda: Node('other'))
+    eye._camera.begin()
+    eye._ready = True
+    for kind, topic in ((CameraInfo, 'color/camera_info'), (Image, 'color/image_raw')):
+        other.create_publisher(kind, f'camera/camera/{topic}', sensor_qos('best_effort'))
+    spin_until(lambda: eye._camera.news().topics['color'].publishers == 1, eye, other)
+    topics = eye._camera.news().topics
+    assert topics['color'].incompatible and topics['camera_info'].incompatible
+    assert topics['depth'].publishers == 0
+    assert 'set node.reliability to best_effort' in eye._judged()[0].message
+    eye._ready = False
+
+
+@pytest.mark.parametrize('alive', [True, False])
+def test_a_map_is_gone_on_in_only_where_its_tracker_has_gone(
+    make: Make, alive: bool, capfd: pytest.CaptureFixture[str]
+) -> None:
+    eye, other = make(TrackerNode), make(lambda: Node('other'))
+    rows, poses = np.zeros(1, MAP_GAUSSIAN), np.zeros(1, KEYFRAME_POSE)
+    rows['id'], rows['rot_0'], poses['qw'] = 500 * EPOCH, 1.0, 1.0
+    eye._mapper._mirror.whole(1, rows)
+    eye._mapper._keyframes = poses
+    pose = other.create_publisher(PoseStamped, 'camera_pose', RELIABLE)
+    spin_until(lambda: pose.get_subscription_count() > 0, eye, other)
+    if alive:
+        pose.publish(pose_stamped(np.eye(4), header(5, 'odom')))
+        spin_until(lambda: eye._mapper._has_rival, eye)
+    found = eye._mapper.resumable(0.0)
+    assert (found is None) == alive
+    assert ('another tracker is at work here' in capfd.readouterr().err) == alive

@@ -51,12 +51,12 @@ def test_any_number_of_kinds_is_no_flood(clock: Clock) -> None:
     assert said <= 100
 
 
-def test_a_cause_is_new_once_while_it_lasts_and_again_after_a_minute(clock: Clock) -> None:
-    news, new = News(), list[int]()
+def test_a_cause_that_lasts_is_told_once_and_again_a_minute_after_its_end(clock: Clock) -> None:
+    news, told = News(), list[tuple[int, str]]()
     for second in range(200):
         clock.now_s = 1000.0 + second
-        if second < 80 or second > 150:
-            if news.is_new(f'no images for {second}.5 s'):
-                new.append(second)
-        assert not news.is_new('degenerate') or second == 0
-    assert new == [0, 151]
+        lasting = [f'no images for {second}.5 s'] if second < 80 or second > 150 else []
+        for text in [*lasting, 'degenerate', *(['no colour'] if second == 9 else [])]:
+            if news.is_new(text):
+                told.append((second, text.split()[0]))
+    assert told == [(1, 'no'), (1, 'degenerate'), (152, 'no')]  # what was seen once is no news

@@ -114,6 +114,7 @@ class MapperNode(Node):
             return
         update = self._session.insert(packet)
         if update is not None:
+            self._outputs.world = parts['pose'].header.frame_id or self._outputs.world
             self._outputs.answer(update, packet.stamp_ns)
         self._outputs.keyframes(self._session.mapper)
 

@@ -92,10 +92,11 @@ class TrackerNode(Node):
         queue = self._camera.queue
         while not queue.closed:
             pair, camera = queue.take(0.2), self._camera.camera
-            if pair is None or camera is None:
+            if pair is None:
                 continue
             try:
-                self._track(pair, camera)
+                if camera is not None:
+                    self._track(pair, camera)
             except DcgsError as error:
                 self._session.refuse(error)
             self._outputs.progress(pair.color.header)
@@ -114,6 +115,7 @@ class TrackerNode(Node):
         frame, camera_frame = read_frame(pair), pair.color.header.frame_id
         session, to_base = self._session, self._outputs.mounting.find(camera_frame)
         if to_base is None:
+            session.counts['waiting_for_tf'] += 1
             return
         epoch = session.epoch
         if to_base.T_base_cam is not session.T_world_first:

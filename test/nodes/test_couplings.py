@@ -223,13 +223,23 @@ def test_diagnostics_carry_the_nodes_own_name(
     assert [report.status[0].name for report in reports] == expected
 
 
-def keyframe_in(camera_frame: str, stamp_ns: int) -> dict[str, Any]:
+def keyframe_in(camera_frame: str, stamp_ns: int, world: str = 'odom') -> dict[str, Any]:
     color = np.full((CAMERA.height, CAMERA.width, 3), 100, np.uint8)
     frame = RgbdFrame(stamp_ns, stamp_ns, color, np.full(color.shape[:2], 1.5, np.float32))
     mean, normal = np.array([[0, 0, 1.5]], np.float32), np.array([[0, 0, -1]], np.float32)
     ids = np.array([stamp_ns], np.int64)
     keyframe = Keyframe(frame, np.eye(4), np.eye(4), ids, mean, normal)
-    return write_keyframe(KeyframePacket(1, CAMERA, keyframe, camera_frame), 'odom')
+    return write_keyframe(KeyframePacket(1, CAMERA, keyframe, camera_frame), world)
+
+
+def test_the_map_is_in_the_frame_of_the_keyframes(make: Make) -> None:
+    """Which is `map` for a tracker that broadcasts map -> odom."""
+    node, clouds = make(MapperNode), list[Any]()
+    for name in ('_map', '_updates', '_received', '_answers'):
+        setattr(node._outputs, name, SimpleNamespace(publish=clouds.append))
+    node._insert(keyframe_in('optical', 1, 'map'))
+    node._outputs.update(node._session.mapper)
+    assert len(clouds) == 4 and {cloud.header.frame_id for cloud in clouds} == {'map'}
 
 
 def test_a_rendered_view_is_in_the_frame_of_the_camera(make: Make) -> None:

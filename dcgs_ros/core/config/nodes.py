@@ -89,7 +89,7 @@ class TrackerSettings(Config):
 class MapperNodeSettings(Stage):
     """The mapper's node: frames, rates and files."""
 
-    odom_frame: str = described('odom', 'Frame that the map is in: the odom_frame of the tracker.')
+    odom_frame: str = described('odom', "Frame that the map is in until a keyframe's pose tells.")
     map_rate_hz: float = ranged(
         0.1,
         0,

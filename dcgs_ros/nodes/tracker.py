@@ -120,7 +120,7 @@ class TrackerNode(Node):
         epoch = session.epoch
         if to_base.T_base_cam is not session.T_world_first:
             self._outputs.remount(session.T_world_first, to_base.T_base_cam)
-            session.remount(to_base.T_base_cam)
+            session.remount(to_base.T_base_cam, frame)
         result = session.track(frame, camera)
         if result is None:
             return

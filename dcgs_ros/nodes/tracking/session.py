@@ -7,6 +7,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -66,16 +67,18 @@ class TrackingSession:
         self.epoch = self._own_epoch = next_epoch(self._own_epoch)
         self._stamp_ns, self._held, self.ever_tracked = None, False, False
 
-    def remount(self, T_base_cam: NDArray[np.float64]) -> None:
+    def remount(self, T_base_cam: NDArray[np.float64], frame: RgbdFrame) -> None:
         """Take the pose (4, 4) of the camera on the base; where another was assumed, begin anew.
 
         The new map's world is the base where tracking began, as the old one's was meant to be. In
-        the map of another tracker the world stays.
+        the map of another tracker the world stays. `frame` is the next one to be tracked.
         """
         assumed, self.T_world_first = self.T_world_first, T_base_cam
         last = self.tracker
         if last is None or self._resumable is not None:
             return
+        with suppress(FrameError):
+            last.track(frame)  # so that the new map begins where the camera is by now
         T_world_cam = T_base_cam @ se3.inverse(assumed) @ last.T_world_cam
         self._warn('the camera is elsewhere on the base than assumed: a new map begins')
         self.reset()

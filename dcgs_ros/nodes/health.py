@@ -9,10 +9,12 @@ import time
 from dataclasses import dataclass
 from enum import IntEnum
 
-_NUMBER_OR_NAME = re.compile(r"-?\d+(\.\d+)?|'[^']*'|\"[^\"]*\"")
+_NUMBER_OR_NAME = re.compile(
+    r"""\([^)]*\)|'[^']*'|"[^"]*"|-?\b(\d+(\.\d+)?(e[-+]?\d+)?|inf|nan)\b"""
+)
 _FORGOTTEN_S = 60.0  # after which a cause that comes again is another one
-_PAUSE_S = 5.0  # between messages that begin alike
-_KINDS = 100  # of messages that are told apart
+_PAUSE_S, _LONGEST_S = 5.0, 60.0  # between messages that begin alike: ever longer
+_KINDS = 8  # of messages that begin alike and are told apart
 
 
 class Level(IntEnum):
@@ -59,22 +61,26 @@ class News:
 
 
 class Throttle:
-    """Holds back messages that repeat, each for itself: none hides one of another kind."""
+    """Holds back messages that repeat, ever longer: none hides one of another kind."""
 
     def __init__(self) -> None:
         """Start with nothing said."""
-        self._said: set[str] = set()
-        self._due_s: dict[str, float] = {}  # monotonic time by how a message begins
+        self._said: dict[str, set[str]] = {}  # kinds, by how a message begins
+        self._due: dict[str, tuple[float, float]] = {}  # by how it begins: when, and after what
 
     def admits(self, text: str) -> bool:
         """Return whether to say it: for the first time, or seconds after one that began alike."""
         kind, now = _kind(text), time.monotonic()
         begins = kind.partition(':')[0]
-        known = kind in self._said or len(self._said) >= _KINDS
-        if known and now < self._due_s.get(begins, now):
+        said = self._said.setdefault(begins, set())
+        known = kind in said or len(said) >= _KINDS
+        due_s, pause_s = self._due.get(begins, (now, 0.0))
+        if known and now < due_s:
             return False
-        self._said.add(kind)
-        self._due_s[begins] = now + _PAUSE_S
+        lasts = known and now < due_s + pause_s
+        pause_s = min(2.0 * pause_s, _LONGEST_S) if lasts else _PAUSE_S
+        said.add(kind)
+        self._due[begins] = now + pause_s, pause_s
         return True
 
 

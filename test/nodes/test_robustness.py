@@ -220,7 +220,7 @@ def test_depth_of_another_frame_is_refused_with_the_reason(robot: Robot) -> None
     camera.play(taken[:12])
     camera.settle()
     assert not robot.observer.poses
-    assert any('could be used: see the log' in text for text in texts(robot))
+    assert any('could be used: colour is in frame' in text for text in texts(robot))
     assert "depth in 'camera_depth_optical_frame': it is not registered" in log(robot)
     camera.play(taken[12:])
     camera.settle()

@@ -234,7 +234,7 @@ def test_depth_that_nothing_registers_is_refused_with_the_reason(robot: Robot) -
     camera.play(in_depths_frame(robot, 12))
     camera.settle()
     assert not robot.observer.poses
-    assert any('could be used: see the log' in text for text in texts(robot))
+    assert any('could be used: /camera' in text for text in texts(robot))
     assert "is in frame 'camera_depth_optical_frame'" in log(robot)
     assert 'depth is not registered to colour, and no extrinsics' in log(robot)
     assert tracker.poll() is None

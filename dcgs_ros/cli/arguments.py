@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -13,6 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..core.config.presets import Ablation, Quality
 from ..core.errors import DcgsError
+from ..datasets.options import RegistrationChoice, SourceOptions
 
 OutputFormat = Literal['mcap', 'sqlite3', 'tum']
 
@@ -54,12 +55,37 @@ GroundTruth = Annotated[
 ]
 
 
+def _option(name: str, metavar: str) -> Any:
+    """Describe an option of the source by its own documentation."""
+    return _optional(metavar, SourceOptions.__dataclass_fields__[name].metadata['doc'])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _WithOptions:
+    """The options of a source, as flags."""
+
+    depth_per_metre: Annotated[float | None, _option('depth_per_metre', 'N')] = None
+
+    sync_slop_s: Annotated[float | None, _option('sync_slop_s', 'S')] = None
+
+    rate_hz: Annotated[float | None, _option('rate_hz', 'HZ')] = None
+
+    depth_registration: Annotated[
+        RegistrationChoice, _option('depth_registration', _choices(RegistrationChoice))
+    ] = 'auto'
+
+    @property
+    def options(self) -> SourceOptions:
+        """The options; raises `ConfigError` for a value out of range."""
+        return SourceOptions(**{f.name: getattr(self, f.name) for f in fields(SourceOptions)})
+
+
 class UsageError(DcgsError):
     """Arguments that do not fit together or are out of range."""
 
 
 @dataclass(frozen=True)
-class RunArguments:
+class RunArguments(_WithOptions):
     """Track and map a sequence. Writes trajectory, map, report and plots to a new folder."""
 
     source: Source
@@ -193,7 +219,7 @@ class RenderArguments:
 
 
 @dataclass(frozen=True)
-class InfoArguments:
+class InfoArguments(_WithOptions):
     """Describe a sequence: its camera, its timing, and the content of its first frames."""
 
     source: Source
@@ -202,7 +228,7 @@ class InfoArguments:
 
 
 @dataclass(frozen=True)
-class ConvertArguments:
+class ConvertArguments(_WithOptions):
     """Convert a sequence to a rosbag2 with a RealSense's topics, or to a TUM folder.
 
     The summary at the end names what the format could not hold. Ground truth and IMU data of a

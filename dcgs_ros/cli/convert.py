@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import islice
@@ -66,7 +66,9 @@ class _FrameFilter:
 def execute(arguments: ConvertArguments) -> int:
     """Convert the sequence and return the exit status; if it is stopped, nothing is written."""
     output_format = _check(arguments)
-    source = open_source(arguments.source, arguments.camera, arguments.groundtruth)
+    source = open_source(
+        arguments.source, arguments.camera, arguments.groundtruth, arguments.options
+    )
     total = min(len(source), arguments.max_frames or len(source))
     frame_filter, start = _FrameFilter(), time.perf_counter()
     with StopSignals() as stop:
@@ -83,7 +85,8 @@ def execute(arguments: ConvertArguments) -> int:
         except _StoppedError:
             print(f'dcgs: stopped; {arguments.dest} is not written', file=sys.stderr)
             return stop.status
-    rows = _rows(arguments.dest, frame_filter, lost, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    rows = _rows(arguments.dest, frame_filter, source.notes, lost, seconds)
     print(table(f'{source.name} as {output_format}', rows), flush=True)
     return 0
 
@@ -115,7 +118,9 @@ def _write(
     return write_bag(folder, source, frames, options)
 
 
-def _rows(dest: Path, seen: _FrameFilter, lost: list[str], seconds: float) -> list[Row]:
+def _rows(
+    dest: Path, seen: _FrameFilter, notes: Sequence[str], lost: list[str], seconds: float
+) -> list[Row]:
     """Return the rows of the summary: what was written, and what was not."""
     frames, bad, stamps_ns = len(seen.stamps_ns), seen.bad, seen.stamps_ns
     size_mb = 1e-6 * sum(path.stat().st_size for path in dest.rglob('*') if path.is_file())
@@ -123,6 +128,7 @@ def _rows(dest: Path, seen: _FrameFilter, lost: list[str], seconds: float) -> li
         ('frames', f'{frames}, {1e-9 * (stamps_ns[-1] - stamps_ns[0]):.1f} s'),
         ('skipped', f'{len(bad)}'),
         *[('', f'{item.name}: {item.reason}') for item in bad[:_NAMED]],
+        *[('note', note) for note in notes],
         ('lost', '; '.join(lost) or 'nothing'),
         ('size', f'{size_mb:.1f} MB'),
         ('speed', f'{frames / seconds:.0f} pairs/s'),

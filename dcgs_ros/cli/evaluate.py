@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +35,7 @@ def execute(arguments: EvaluateArguments) -> int:
         return _evaluate_run(arguments)
     if arguments.groundtruth is None:
         raise UsageError(f"{arguments.estimate} is not a run's folder: give GROUNDTRUTH too")
-    accuracy = assess(read_tum(arguments.estimate), read_tum(arguments.groundtruth))
+    accuracy = assess(read_tum(arguments.estimate), _read_truth(arguments.groundtruth))
     if accuracy.ate is None:
         raise EvaluationError(accuracy.why_no_ate)
     if arguments.json:
@@ -53,7 +54,7 @@ def _evaluate_run(arguments: EvaluateArguments) -> int:
     estimate, source = read_tum(folder / 'trajectory.tum'), _source(arguments)
     truth = source.groundtruth
     if arguments.groundtruth is not None:
-        truth = read_tum(arguments.groundtruth)
+        truth = _read_truth(arguments.groundtruth)
     accuracy, frames = assess(estimate, truth), folder / 'frames.csv'
     if truth is not None and frames.exists():
         accuracy = _with_claims(accuracy, estimate, read_frames(frames), truth)
@@ -65,6 +66,15 @@ def _evaluate_run(arguments: EvaluateArguments) -> int:
         rows = [*accuracy_rows(accuracy), *rendering_rows(rendering)]
         print(table(f'{folder} against {source.name}', rows))
     return 0
+
+
+def _read_truth(path: Path) -> Trajectory:
+    """Read ground truth; say on stderr what of it cannot be used."""
+    left_out: list[str] = []
+    truth = read_tum(path, left_out)
+    for line in left_out:
+        print(f'dcgs: {line}', file=sys.stderr)
+    return truth
 
 
 def _source(arguments: EvaluateArguments) -> Source:

@@ -17,6 +17,8 @@ from ..datasets.bag.source import BagSource
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source
+from ..datasets.undescribed.source import UndescribedError
+from ..evaluation.depth_range import DepthSurvey
 from .arguments import InfoArguments
 from .tables import Row, table
 
@@ -24,8 +26,12 @@ _SAMPLE = 60  # frames read, from the first
 
 
 def execute(arguments: InfoArguments) -> int:
-    """Print what the files and the first frames say; return the exit status."""
-    source = open_source(arguments.source, arguments.camera)
+    """Print what the files and the first frames say, or a dcgs.yaml that would read them."""
+    try:
+        source = open_source(arguments.source, arguments.camera, None, arguments.options)
+    except UndescribedError as error:
+        print(f'{error}\n\n{error.proposal}', end='')
+        return 0
     frames, bad = _sample(source)
     rows = [
         ('frames', f'{len(source)}; the following is from the first {len(frames) + len(bad)}'),
@@ -33,9 +39,11 @@ def execute(arguments: InfoArguments) -> int:
         *_recording_rows(source),
         ('camera', _camera(source.camera)),
         ('sensor', _sensor(source.sensor)),
-        *_depth_rows(frames, source.sensor),
+        ('depth unit', _unit(source.depth_per_metre)),
+        *_depth_rows(frames, source),
         ('ground truth', _truth(source.groundtruth)),
         ('imu', 'none' if next(source.imu(), None) is None else 'recorded; not used for tracking'),
+        *[('note', note) for note in source.notes],
         ('bad frames', f'{len(bad)} in the sample'),
         *[('', f'{item.name}: {item.reason}') for item in bad],
     ]
@@ -74,20 +82,26 @@ def _recording_rows(source: Source) -> list[Row]:
     """Return the topics chosen of a recording, and how its depth is registered to colour."""
     if not isinstance(source, BagSource):
         return []
-    topics, mount = source.recorded.topics, source.recorded.mount
-    registered = 'as recorded'
-    if mount is not None:
-        apart_mm = 1e3 * np.linalg.norm(mount.T_colorcam_depthcam[:3, 3])
-        registered = f'here, by the recorded extrinsics: {apart_mm:.1f} mm apart'
+    recorded = source.recorded
     return [
-        ('topics', f'{topics.color}, {topics.depth}'),
-        ('registered', registered),
+        ('topics', f'{recorded.topics.color}, {recorded.topics.depth}'),
+        ('registered', recorded.registration.reason),
     ]
 
 
-def _depth_rows(frames: list[RgbdFrame], sensor: SensorNoise) -> list[Row]:
+def _unit(per_metre: float | None) -> str:
+    if per_metre is None:
+        return 'made in metres'
+    return f'{per_metre:g} per metre (--depth-per-metre)'
+
+
+def _depth_rows(frames: list[RgbdFrame], source: Source) -> list[Row]:
     if not frames:
         return []
+    sensor, survey = source.sensor, DepthSurvey()
+    for frame in frames:
+        survey.add(frame)
+    warning = survey.warning(sensor, source.depth_per_metre)
     depths = np.concatenate([frame.depth_m[::4, ::4].ravel() for frame in frames])
     measured = depths[depths > 0]
     usable = (measured >= sensor.depth_min_m) & (measured <= sensor.depth_max_m)
@@ -99,6 +113,7 @@ def _depth_rows(frames: list[RgbdFrame], sensor: SensorNoise) -> list[Row]:
             f"{100 * usable.sum() / len(depths):.0f} % in the sensor's range",
         ),
         ('depth range', f'{low:.2f} to {high:.2f} m (5-95 %), median {median:.2f}'),
+        *([] if warning is None else [('warning', warning)]),
     ]
 
 

@@ -37,6 +37,7 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
     rows = [
         ('frames', _counts(report)),
         ('states', _states(report['states'])),
+        *[('warning', text) for text in report['warnings']],
         *accuracy_rows(accuracy),
         (
             'tracking',

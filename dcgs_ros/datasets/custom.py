@@ -13,15 +13,17 @@ from typing import Any
 import yaml
 
 from ..core.camera import PinholeCamera
+from ..core.config.schema import ConfigError, override
 from ..core.sensor import SensorError, SensorNoise
 from ..io.trajectory import read_tum
 from ..io.whole_files import replacing
 from .camera_presets import PRESETS, CameraPreset
-from .images.association import StampPair, pair_images
 from .images.file_patterns import pair_by_name, pair_by_order
+from .images.pairing import PairedImages, pair_images
 from .images.sequence import ImageSequence
+from .options import AS_STORED, SourceOptions, merged
 from .parsing.intrinsics import camera_from_fields, choose_camera
-from .parsing.text_files import depth_unit_at, number_at, read_text, shown
+from .parsing.text_files import number_at, read_text, shown
 from .source import SourceError
 from .tum.index import check_inside, read_index
 
@@ -32,7 +34,7 @@ _CAMERA_KEYS = ('width', 'height', 'fx', 'fy', 'cx', 'cy')
 _SENSOR_KEYS = tuple(field.name for field in dataclasses.fields(SensorNoise))
 _KEYS = (
     *('camera', 'color', 'depth', 'rate_hz', 'stamps'),
-    *('depth_per_metre', 'sensor', 'groundtruth'),
+    *('depth_per_metre', 'sync_slop_s', 'sensor', 'groundtruth'),
 )
 _MAX_BYTES = 2**16
 # YAML's own errors, and those that PyYAML's constructors let through for tags with odd values.
@@ -48,15 +50,19 @@ def is_custom(path: Path) -> bool:
 
 
 def open_custom(
-    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> ImageSequence:
     """Open a folder as its `dcgs.yaml` describes it.
 
     `camera: PRESET` or `{width, height, fx, fy, cx, cy, distortion: [...]}`; `color`, `depth`:
     either index files (`.txt`, as TUM's rgb.txt), or patterns of file names (`rgb/*.png`) with
     `rate_hz: 30` (paired in order) or `stamps: names` (the names are seconds);
-    `depth_per_metre`, optional with a preset; optionally `sensor: {a_m, b_per_m, depth_min_m,
-    depth_max_m}` and `groundtruth`, a TUM trajectory. The arguments override the file.
+    `depth_per_metre`, optional with a preset; optionally `sync_slop_s` between the stamps of
+    colour and depth, `sensor: {a_m, b_per_m, depth_min_m, depth_max_m}` and `groundtruth`, a TUM
+    trajectory. The arguments override the file.
 
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the key or line.
     """
@@ -64,15 +70,17 @@ def open_custom(
     file = folder / FILE
     try:
         tree = _load(file)
-        own = _own_camera(tree)
-        pairs = _pairs(folder, tree)
+        options = _with_own(tree, options)
+        own = _own_camera(tree, options.depth_per_metre)
+        pairs, notes = _pairs(folder, tree, options)
         if groundtruth is None and 'groundtruth' in tree:
             groundtruth = folder / _path_at(tree, 'groundtruth')
-    except (ValueError, SensorError) as error:
+    except (ValueError, SensorError, ConfigError) as error:
         raise SourceError(f'{file}: {error}') from None
     chosen = choose_camera(camera, own, folder, pairs)
-    truth = None if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.from_preset(folder, pairs, chosen, truth)
+    left_out = [*notes]
+    truth = None if groundtruth is None else read_tum(groundtruth, left_out)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=left_out)
 
 
 def write_description(
@@ -122,20 +130,29 @@ def _check_map(value: object, name: str, valid: tuple[str, ...]) -> None:
         raise ValueError(f'{name} a key {shown(unknown)}; there are {", ".join(valid)}')
 
 
-def _own_camera(tree: Mapping[str, Any]) -> CameraPreset:
+def _with_own(tree: Mapping[str, Any], options: SourceOptions) -> SourceOptions:
+    """Return the options of the file, overridden; raises `ValueError` or `ConfigError`."""
+    names = [field.name for field in dataclasses.fields(SourceOptions)]
+    own = {key: number_at(tree, key) for key in names if key in tree}
+    return merged(override(AS_STORED, own), options)
+
+
+def _own_camera(tree: Mapping[str, Any], unit: float | None) -> CameraPreset:
     """Return camera, noise and depth unit; raises `ValueError` or `SensorError`."""
     value = tree.get('camera')
     if isinstance(value, str) and value in PRESETS:
         preset = PRESETS[value]
         camera, sensor = preset.camera, preset.sensor
-        tree = {'depth_per_metre': preset.depth_per_metre, **tree}
+        unit = unit or preset.depth_per_metre
     else:
         camera, sensor = _camera(value), SensorNoise.structured_light()
     if 'sensor' in tree:
         _check_map(tree['sensor'], 'sensor has', _SENSOR_KEYS)
         numbers = {key: number_at(tree['sensor'], key) for key in tree['sensor']}
         sensor = dataclasses.replace(sensor, **numbers)
-    return CameraPreset(camera, sensor, depth_unit_at(tree, 'depth_per_metre'))
+    if unit is None:
+        raise ValueError('depth_per_metre is missing')
+    return CameraPreset(camera, sensor, unit)
 
 
 def _camera(value: object) -> PinholeCamera:
@@ -154,7 +171,7 @@ def _camera(value: object) -> PinholeCamera:
         raise ValueError(f'camera: {error}') from None
 
 
-def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[StampPair]:
+def _pairs(folder: Path, tree: Mapping[str, Any], options: SourceOptions) -> PairedImages:
     color, depth = _path_at(tree, 'color'), _path_at(tree, 'depth')
     ways = [
         name
@@ -171,22 +188,15 @@ def _pairs(folder: Path, tree: Mapping[str, Any]) -> list[StampPair]:
             'depth are index files (.txt), or rate_hz: NUMBER, or stamps: names'
         )
     if ways == ['index files']:
-        return pair_images(
-            folder,
-            *([row[0] for row in read_index(folder / name, 1)] for name in (color, depth)),
+        colors, depths = (
+            [row[0] for row in read_index(folder / name, 1)] for name in (color, depth)
         )
-    if ways == ['rate_hz']:
-        return pair_by_order(folder, color, depth, _rate(tree))
-    if tree['stamps'] != 'names':
+        return pair_images(folder, colors, depths, options)
+    if ways == ['stamps'] and tree['stamps'] != 'names':
         raise ValueError(f'stamps is {shown(tree["stamps"])}; it can be: names')
-    return pair_by_name(folder, color, depth)
-
-
-def _rate(tree: Mapping[str, Any]) -> Fraction:
-    rate = number_at(tree, 'rate_hz')
-    if not 1e-3 <= rate <= 1e4:
-        raise ValueError(f'rate_hz is {rate:g}, not within 0.001 to 10000')
-    return Fraction(rate)
+    if options.rate_hz is not None:
+        return pair_by_order(folder, color, depth, Fraction(options.rate_hz))
+    return pair_by_name(folder, color, depth, options)
 
 
 def _path_at(tree: Mapping[str, Any], key: str) -> str:

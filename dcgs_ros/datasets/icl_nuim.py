@@ -18,6 +18,7 @@ from .camera_presets import PRESETS
 from .images.association import StampedPath, StampPair
 from .images.indexed_frames import stamp_of_index
 from .images.sequence import ImageSequence
+from .options import AS_STORED, SourceOptions
 from .parsing.intrinsics import choose_camera
 from .source import SourceError, sequence_name
 from .tum.index import read_index
@@ -36,7 +37,10 @@ def is_icl_nuim(path: Path) -> bool:
 
 
 def open_icl_nuim(
-    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> ImageSequence:
     """Open a sequence's folder; frame i is at i / 30 s.
 
@@ -49,9 +53,11 @@ def open_icl_nuim(
     preset = PRESETS['icl_nuim']
     if re.search(r'traj[0-9]n(?![a-z])', sequence_name(folder)):
         preset = dataclasses.replace(preset, sensor=SensorNoise.structured_light())
-    pairs = _read_pairs(folder / 'associations.txt')
-    chosen = choose_camera(camera, preset, folder, pairs)
-    return ImageSequence.from_preset(folder, pairs, chosen, _read_truth(folder, groundtruth))
+    pairs = _read_pairs(folder / 'associations.txt', options.rate_hz)
+    chosen = choose_camera(camera, preset, folder, pairs, options.depth_per_metre)
+    notes: list[str] = []
+    truth = _read_truth(folder, groundtruth, options.rate_hz, notes)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=notes)
 
 
 def mirrored(T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -67,15 +73,17 @@ def _truth_files(folder: Path) -> list[Path]:
     return sorted(folder.glob(f'*{_TRUTH_SUFFIX}'))
 
 
-def _read_pairs(path: Path) -> list[StampPair]:
+def _read_pairs(path: Path, rate_hz: float | None) -> list[StampPair]:
     """Read rows of `number depth number colour`."""
 
     def with_stamp(image: StampedPath) -> StampedPath:
-        return StampedPath(stamp_of_index(_frame_number(path, image.stamp_ns)), image.path)
+        number = _frame_number(path, image.stamp_ns)
+        return StampedPath(stamp_of_index(number, rate_hz), image.path)
 
-    return [
+    pairs = (
         StampPair(with_stamp(color), with_stamp(depth)) for depth, color in read_index(path, 2)
-    ]
+    )
+    return list({pair.color.stamp_ns: pair for pair in sorted(pairs)}.values())
 
 
 def _frame_number(path: Path, stamp_ns: int) -> int:
@@ -86,7 +94,9 @@ def _frame_number(path: Path, stamp_ns: int) -> int:
     return number
 
 
-def _read_truth(folder: Path, groundtruth: Path | str | None) -> Trajectory | None:
+def _read_truth(
+    folder: Path, groundtruth: Path | str | None, rate_hz: float | None, notes: list[str]
+) -> Trajectory | None:
     if groundtruth is None:
         files = _truth_files(folder)
         if len(files) > 1:
@@ -97,9 +107,9 @@ def _read_truth(folder: Path, groundtruth: Path | str | None) -> Trajectory | No
             return None
         groundtruth = files[0]
     path = Path(groundtruth)
-    truth = read_tum(path)
+    truth = read_tum(path, notes)
     if not path.name.endswith(_TRUTH_SUFFIX):
         return truth
     numbers = [_frame_number(path, stamp_ns) for stamp_ns in truth.stamps_ns.tolist()]
-    stamps_ns = np.array([stamp_of_index(number) for number in numbers], dtype=np.int64)
+    stamps_ns = np.array([stamp_of_index(number, rate_hz) for number in numbers], dtype=np.int64)
     return Trajectory(stamps_ns, mirrored(truth.T_world_cam))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Replica as rendered by NICE-SLAM: rooms without noise, with exact poses."""
+"""Replica as rendered by NICE-SLAM or Semantic-NeRF: rooms without noise, with exact poses."""
 
 from __future__ import annotations
 
@@ -9,18 +9,27 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ..core.camera import PinholeCamera
 from ..core.trajectory import Trajectory
 from ..io.trajectory import read_tum
 from .camera_presets import PRESETS, CameraPreset
 from .images.indexed_frames import indexed_trajectory, pair_by_index
-from .images.sequence import ImageSequence
+from .images.sequence import ImageSequence, color_size
+from .options import AS_STORED, SourceOptions
 from .parsing.intrinsics import camera_from_fields, choose_camera
 from .parsing.pose_matrices import parse_matrix
 from .parsing.text_files import depth_unit_at, read_text
 from .source import SourceError
 
-LAYOUT = "results/ with frame000000.jpg, depth000000.png ..., and traj.txt (NICE-SLAM's Replica)"
+LAYOUT = (
+    'results/ with frame000000.jpg (or .png), depth000000.png ..., and traj.txt '
+    "(NICE-SLAM's Replica)"
+)
 
+LAYOUT_NERF = 'rgb/rgb_0.png, depth/depth_0.png ..., and traj_w_c.txt (Semantic-NeRF, vMAP)'
+
+_NERF_DEPTH_PER_METRE = 1000.0
+_NERF_TRAJECTORY = 'traj_w_c.txt'
 _CAMERA_FILE = 'cam_params.json'
 _CAMERA_KEYS = ('w', 'h', 'fx', 'fy', 'cx', 'cy')
 _MAX_CAMERA_BYTES = 2**16
@@ -29,11 +38,14 @@ _MAX_TRAJECTORY_BYTES = 2**28
 
 def is_replica(path: Path) -> bool:
     """Return whether the path is a scene's folder."""
-    return any(True for _ in path.glob('results/frame[0-9][0-9][0-9][0-9][0-9][0-9].jpg'))
+    return any(True for _ in path.glob('results/frame[0-9][0-9][0-9][0-9][0-9][0-9].[jp][pn]g'))
 
 
 def open_replica(
-    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> ImageSequence:
     """Open a scene's folder; frame i is at i / 30 s.
 
@@ -44,10 +56,53 @@ def open_replica(
     Raises `SourceError` (or `TrajectoryFileError`) naming the file and the line or key.
     """
     folder = Path(path)
-    pairs = pair_by_index(folder, r'results/frame([0-9]{6})\.jpg', r'results/depth([0-9]{6})\.png')
-    chosen = choose_camera(camera, _own_camera(folder), folder, pairs)
-    truth = _read_truth(folder / 'traj.txt') if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.from_preset(folder, pairs, chosen, truth)
+    color, depth = r'results/frame([0-9]{6})\.(?:jpg|png)', r'results/depth([0-9]{6})\.png'
+    pairs = pair_by_index(folder, color, depth, options.rate_hz)
+    unit = options.depth_per_metre
+    chosen = choose_camera(camera, _own_camera(folder), folder, pairs, unit)
+    notes: list[str] = []
+    if groundtruth is None:
+        truth = _read_truth(folder / 'traj.txt', options.rate_hz)
+    else:
+        truth = read_tum(groundtruth, notes)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=notes)
+
+
+def is_semantic_nerf(path: Path) -> bool:
+    """Return whether the path is a sequence's folder in the layout of Semantic-NeRF."""
+    return all((path / name).is_dir() for name in ('rgb', 'depth')) and (
+        (path / _NERF_TRAJECTORY).is_file() or (path / 'rgb/rgb_0.png').is_file()
+    )
+
+
+def open_semantic_nerf(
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
+) -> ImageSequence:
+    """Open a sequence's folder; frame i is at i / 30 s.
+
+    The camera sees 90 degrees across, depth is in millimetres; `camera` and `groundtruth` replace
+    these and `traj_w_c.txt`. Raises `SourceError` (or `TrajectoryFileError`).
+    """
+    folder = Path(path)
+    color, depth = r'rgb/rgb_([0-9]{1,9})\.(?:png|jpg)', r'depth/depth_([0-9]{1,9})\.png'
+    pairs = pair_by_index(folder, color, depth, options.rate_hz)
+    width, height = color_size(folder, pairs)
+    center = ((width - 1) / 2, (height - 1) / 2)
+    own = CameraPreset(
+        PinholeCamera(width, height, width / 2, width / 2, *center),
+        PRESETS['replica'].sensor,
+        _NERF_DEPTH_PER_METRE,
+    )
+    chosen = choose_camera(camera, own, folder, pairs, options.depth_per_metre)
+    notes: list[str] = []
+    if groundtruth is None:
+        truth = _read_truth(folder / _NERF_TRAJECTORY, options.rate_hz)
+    else:
+        truth = read_tum(groundtruth, notes)
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, notes=notes)
 
 
 def _own_camera(folder: Path) -> CameraPreset:
@@ -76,7 +131,7 @@ def _camera_values(text: str) -> dict[str, Any]:
     return values
 
 
-def _read_truth(path: Path) -> Trajectory | None:
+def _read_truth(path: Path, rate_hz: float | None) -> Trajectory | None:
     """Read the poses; None if there is no such file."""
     if not path.exists():
         return None
@@ -87,4 +142,4 @@ def _read_truth(path: Path) -> Trajectory | None:
             poses[number] = parse_matrix(line)
         except ValueError as error:
             raise SourceError(f'{path}:{number + 1}: {error}') from None
-    return indexed_trajectory(path, poses)
+    return indexed_trajectory(path, poses, rate_hz)

@@ -19,10 +19,13 @@ from .images.association import StampPair
 from .images.depth_registration import register_depth
 from .images.indexed_frames import indexed_trajectory, pair_by_index
 from .images.sequence import ColorDepth, ImageSequence
+from .options import AS_STORED, SourceOptions
 from .parsing.intrinsics import choose_camera
 from .parsing.pose_matrices import read_pose
 
-LAYOUT = 'frame-000000.color.png, .depth.png and .pose.txt ... (7-Scenes)'
+LAYOUT = 'frame-000000.color.png (or .jpg), .depth.png and .pose.txt ... (7-Scenes)'
+
+_FRAME = 'frame-([0-9]{6})'
 
 # The nominal intrinsics that the dataset's authors give.
 DEPTH_CAMERA = PinholeCamera(640, 480, 585.0, 585.0, 320.0, 240.0)
@@ -30,16 +33,19 @@ DEPTH_CAMERA = PinholeCamera(640, 480, 585.0, 585.0, 320.0, 240.0)
 T_COLORCAM_DEPTHCAM = np.eye(4)
 T_COLORCAM_DEPTHCAM[0, 3] = -0.025
 
-_NO_DEPTH_M = np.float32(65535) / np.float32(PRESETS['7scenes'].depth_per_metre)
+_NO_DEPTH = np.float32(65535)
 
 
 def is_seven_scenes(path: Path) -> bool:
     """Return whether the path is a sequence's folder."""
-    return any(True for _ in path.glob('frame-[0-9][0-9][0-9][0-9][0-9][0-9].color.png'))
+    return any(True for _ in path.glob('frame-[0-9][0-9][0-9][0-9][0-9][0-9].color.[jp][pn]g'))
 
 
 def open_seven_scenes(
-    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> ImageSequence:
     """Open a sequence's folder; frame i is at i / 30 s.
 
@@ -50,29 +56,38 @@ def open_seven_scenes(
     Raises `SourceError` (or `TrajectoryFileError`) naming the file.
     """
     folder = Path(path)
-    pairs = pair_by_index(folder, r'frame-([0-9]{6})\.color\.png', r'frame-([0-9]{6})\.depth\.png')
-    chosen = choose_camera(camera, PRESETS['7scenes'], folder, pairs)
-    truth = _read_truth(folder, pairs) if groundtruth is None else read_tum(groundtruth)
-    return ImageSequence.from_preset(
-        folder, pairs, chosen, truth, partial(_register, chosen.camera)
+    pairs = pair_by_index(
+        folder, rf'{_FRAME}\.color\.(?:png|jpg)', rf'{_FRAME}\.depth\.png', options.rate_hz
     )
+    unit, rate_hz = options.depth_per_metre, options.rate_hz
+    chosen = choose_camera(camera, PRESETS['7scenes'], folder, pairs, unit)
+    notes: list[str] = []
+    if groundtruth is None:
+        truth = _read_truth(folder, pairs, rate_hz)
+    else:
+        truth = read_tum(groundtruth, notes)
+    register = partial(_register, chosen.camera, _NO_DEPTH / np.float32(chosen.depth_per_metre))
+    return ImageSequence.from_preset(folder, pairs, chosen, truth, register, notes)
 
 
 def _register(
-    camera: PinholeCamera, color: NDArray[np.uint8], depth_m: NDArray[np.float32]
+    camera: PinholeCamera,
+    none_m: np.float32,
+    color: NDArray[np.uint8],
+    depth_m: NDArray[np.float32],
 ) -> ColorDepth:
-    depth_m = np.where(depth_m < _NO_DEPTH_M, depth_m, np.float32(0))
+    depth_m = np.where(depth_m < none_m, depth_m, np.float32(0))
     return color, register_depth(depth_m, DEPTH_CAMERA, T_COLORCAM_DEPTHCAM, camera)
 
 
-def _read_truth(folder: Path, pairs: list[StampPair]) -> Trajectory | None:
+def _read_truth(folder: Path, pairs: list[StampPair], rate_hz: float | None) -> Trajectory | None:
     """Return the poses of the colour camera; None if there are no pose files."""
     poses = {}
     for pair in pairs:
-        path = folder / pair.color.path.replace('color.png', 'pose.txt')
+        path = folder / f'{pair.color.path[: len("frame-000000")]}.pose.txt'
         if path.exists():
             poses[int(path.name[len('frame-') : len('frame-000000')])] = read_pose(path)
     if not poses:
         return None
-    depth = indexed_trajectory(folder, poses)
+    depth = indexed_trajectory(folder, poses, rate_hz)
     return Trajectory(depth.stamps_ns, depth.T_world_cam @ se3.inverse(T_COLORCAM_DEPTHCAM))

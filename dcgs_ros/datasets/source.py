@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -74,8 +74,18 @@ class Source(Protocol):
         ...
 
     @property
+    def depth_per_metre(self) -> float | None:
+        """Value of a stored depth pixel at one metre; None: depth is made in metres."""
+        ...
+
+    @property
     def groundtruth(self) -> Trajectory | None:
         """Poses at the colour stamps; the tracker never sees them."""
+        ...
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was repaired, left out or decided at opening, a line each."""
         ...
 
     def __len__(self) -> int:

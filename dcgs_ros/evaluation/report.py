@@ -22,6 +22,7 @@ from .consistency import (
     motion_nees,
     silent_frames,
 )
+from .depth_range import DepthSurvey
 from .rendering import ViewScores, rendering_report
 from .states import states_report
 from .trajectory import (
@@ -63,6 +64,10 @@ class RunRecord:
     ablation: str
     address: str = ''  # of the source, as the user gave it
     camera: str | None = None  # as the user gave it
+    depth_per_metre: float | None = None  # value of a depth pixel; None: depth is made in metres
+    depth: DepthSurvey = field(default_factory=DepthSurvey)
+    depth_in_range: float | None = None  # share of the depth surveyed, in the sensor's range
+    warnings: list[str] = field(default_factory=list)
     tracked: list[TrackedFrame] = field(default_factory=list)
     skipped: list[SkippedFrame] = field(default_factory=list)
     wall_s: float = 0.0  # all that the user waited for: start, frames, refining, files, scores
@@ -153,6 +158,8 @@ def build_report(
     `realtime_factor` is the duration of the sequence over it. `wall_s` covers all from the command
     to the last file: the start, the steps after the last frame, writing and scoring too.
     `iterations_per_s` is over the mapper's own time. `rendering` is None until `with_rendering`.
+    `warnings` are lines for the user: what was repaired or left out of the sequence, and what
+    speaks against the unit of its depth.
     """
     last = record.tracked[-1]
     results = sorted((frame.result for frame in record.tracked), key=lambda r: r.stamp_ns)
@@ -162,6 +169,9 @@ def build_report(
         'source': record.source,
         'address': record.address,
         'camera': record.camera,
+        'depth_per_metre': record.depth_per_metre,
+        'depth_in_range': record.depth_in_range,
+        'warnings': record.warnings,
         'ablation': record.ablation,
         'frames': len(record.tracked) + len(record.skipped),
         'tracked': len(results) - states['lost']['frames'],

@@ -35,6 +35,8 @@ class AteResult:
     stamps_ns: NDArray[np.int64]  # (matched,) of the estimate
     errors_m: NDArray[np.float64]  # (matched,)
     T_truth_estimate: NDArray[np.float64]  # (4, 4) the alignment: estimate's world to truth's
+    scale: float  # of the estimate's motion that fits the truth best
+    scaled_rmse_cm: float  # what would then be left
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,7 @@ def absolute_trajectory_error(
     T_truth_estimate = align_umeyama(points, targets)
     aligned = se3.transform(T_truth_estimate, points)
     errors = np.linalg.norm(targets - aligned, axis=1)
+    scale, scaled_errors = _scaled(aligned, targets)
     return AteResult(
         rmse_cm=100 * _rms(errors),
         mean_cm=100 * float(errors.mean()),
@@ -141,7 +144,19 @@ def absolute_trajectory_error(
         stamps_ns=estimate.stamps_ns[i],
         errors_m=errors,
         T_truth_estimate=T_truth_estimate,
+        scale=scale,
+        scaled_rmse_cm=100 * _rms(scaled_errors),
     )
+
+
+def _scaled(
+    aligned: NDArray[np.floating], targets: NDArray[np.floating]
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the scale of aligned points (N, 3) that fits best, and the distances then, (N,)."""
+    points, targets = aligned - aligned.mean(axis=0), targets - targets.mean(axis=0)
+    spread = float(np.sum(points**2))
+    scale = float(np.sum(points * targets)) / spread if spread > 0 else 1.0
+    return scale, np.linalg.norm(targets - scale * points, axis=1)
 
 
 def relative_pose_error(

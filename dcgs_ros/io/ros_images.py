@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from ..core.camera import PinholeCamera
 from ..core.errors import DcgsError
+from ..core.lens_camera import Camera, make_camera
 from .images.encodings import COLOR_ENCODINGS
 
 _MAX_SIDE = 16384  # pixels: a larger image means a broken header
-_MAX_COEFFICIENTS = 8  # rational_polynomial's
+_MAX_COEFFICIENTS = 14  # rational_polynomial's
 
 DEPTH_ENCODINGS = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 _LENS_MODELS = ('', 'plumb_bob', 'rational_polynomial')
+_FISHEYE_MODELS = ('equidistant', 'fisheye', 'kannala_brandt', 'kannala_brandt4')
 MM_PER_M = 1000.0
 _MAX_M = np.float32(65.535)  # the largest depth in 16 bits of millimetres
 _SPARSE = 16  # pixels, between those checked first
@@ -72,19 +74,26 @@ def read_color(image: Any) -> NDArray[np.uint8]:
     return encoding.convert(pixels)
 
 
-def read_depth(image: Any, per_metre: float = MM_PER_M) -> NDArray[np.float32]:
-    """Return depth (H, W) in metres, 0 = none, of an Image in 16UC1, mono16 or 32FC1 (metres).
+def depth_unit(encoding: str) -> float:
+    """Return the value at one metre of a depth image: 1 of 32FC1, 1000 of 16 bits (REP 118)."""
+    return 1.0 if encoding.startswith('32FC1') else MM_PER_M
 
-    `per_metre` is the value of 16 bits at one metre. Negative and non-finite values count as none.
-    Raises `MessageError`.
+
+def read_depth(image: Any, per_metre: float | None = None) -> NDArray[np.float32]:
+    """Return depth (H, W) in metres, 0 = none, of an Image in 16UC1, mono16 or 32FC1.
+
+    `per_metre` is the value of a pixel at one metre, by default `depth_unit`. Negative and
+    non-finite values count as none. Raises `MessageError`.
     """
     kind = DEPTH_ENCODINGS.get(image.encoding)
     if kind is None:
         raise _unknown('depth', image.encoding, DEPTH_ENCODINGS)
     raw = _pixels(image, _type(image, kind), 1)
+    unit = np.float32(per_metre or depth_unit(image.encoding))
     if kind == 'u2':
-        return raw.astype(np.float32) / np.float32(per_metre)
-    return measured(raw.astype(np.float32))
+        return raw.astype(np.float32) / unit
+    depth_m = raw.astype(np.float32)
+    return measured(depth_m if unit == 1 else depth_m / unit)
 
 
 def measured(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -122,13 +131,13 @@ def in_metres(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(depth_m > 0, depth_m, np.nan).astype('<f4')
 
 
-def read_camera(info: Any) -> PinholeCamera:
+def read_camera(info: Any) -> Camera:
     """Return the camera of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
 
     If all coefficients are zero, the lens model may have any name. Raises `MessageError` for an
     unknown lens model, skew or an implausible size, and `CameraError` for invalid intrinsics.
     """
-    width, height = _size(info)
+    size = _size(info)
     matrix = info.k if hasattr(info, 'k') else info.K
     distortion = info.d if hasattr(info, 'd') else info.D
     fx, skew, cx, _, fy, cy = (float(value) for value in matrix[:6])
@@ -139,14 +148,15 @@ def read_camera(info: Any) -> PinholeCamera:
             f'distortion has {len(distortion)} numbers, at most {_MAX_COEFFICIENTS} are supported'
         )
     coefficients = tuple(float(value) for value in distortion)
+    fisheye = info.distortion_model in _FISHEYE_MODELS
     if not any(coefficients):
-        coefficients = ()
-    elif info.distortion_model not in _LENS_MODELS:
+        coefficients, fisheye = (), False
+    elif not fisheye and info.distortion_model not in _LENS_MODELS:
         raise MessageError(
             f'distortion model {info.distortion_model[:40]!r} is not supported; these are: '
-            f'{", ".join(name or "(none)" for name in _LENS_MODELS)}'
+            f'{", ".join(name or "(none)" for name in (*_LENS_MODELS, *_FISHEYE_MODELS))}'
         )
-    return PinholeCamera(width, height, fx, fy, cx, cy, coefficients)
+    return make_camera(size, (fx, fy, cx, cy), coefficients, fisheye)
 
 
 class CameraFields(NamedTuple):

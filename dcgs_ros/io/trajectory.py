@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Trajectory files in TUM's format: one `stamp tx ty tz qx qy qz qw` per line."""
+"""Trajectory files in TUM's format: one `stamp tx ty tz qx qy qz qw` per line, or as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -20,6 +21,11 @@ from .whole_files import replacing
 QUATERNION_NORM_TOLERANCE = 1e-2
 
 _STAMP_LIMIT_NS = 2**62  # 146 years: the difference of two stamps still fits 64 bits
+# Nanoseconds in a unit of a whole number of so many digits: time since 1970 has 10 in seconds, 13
+# in milliseconds, 16 in microseconds, 19 in nanoseconds.
+_UNIT_NS = dict.fromkeys((12, 13, 14), 10**6) | dict.fromkeys((15, 16, 17), 10**3)
+_UNIT_NS |= dict.fromkeys((18, 19), 1)
+_EUROC_COLUMNS = 17  # with velocity and biases after the pose
 
 
 class TrajectoryFileError(DcgsError):
@@ -29,10 +35,13 @@ class TrajectoryFileError(DcgsError):
 def parse_stamp_ns(text: str) -> int:
     """Parse seconds as decimal text to integer nanoseconds, without rounding to a float.
 
-    Raises `ValueError` for anything but a finite number within 146 years of zero.
+    Whole numbers of 12 digits or more are milliseconds, microseconds or nanoseconds, whichever
+    is a time since 1970. Raises `ValueError` for anything but a finite number within 146 years of
+    zero.
     """
     try:
-        seconds = Decimal(text)
+        unit_ns = _UNIT_NS.get(len(text)) if re.fullmatch('[0-9]+', text) else None
+        seconds = Decimal(text) if unit_ns is None else Decimal(text).scaleb(-9) * unit_ns
     except InvalidOperation:
         raise ValueError(f'{text!r} is no time in seconds') from None
     if not seconds.is_finite() or seconds.adjusted() > 10:
@@ -49,34 +58,53 @@ def format_stamp_ns(stamp_ns: int) -> str:
     return f'{"-" if stamp_ns < 0 else ""}{seconds}.{fraction:09d}'
 
 
-def read_tum(path: Path | str) -> Trajectory:
+def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
     """Read a trajectory; quaternions are normalised, comments (#) and empty lines skipped.
 
-    Raises `TrajectoryFileError` naming the file and the line that is wrong: not eight finite
-    numbers, a quaternion not of unit length, stamps that do not increase; or if there is no pose.
+    Columns are separated by blanks or commas; in a CSV as EuRoC's the quaternion begins with w,
+    as its heading says. Poses that cannot be used are refused; with the list `left_out`, they are
+    left out, poses out of order are sorted, and a line about it is appended. Raises
+    `TrajectoryFileError` naming the file and the line that is wrong: not eight finite numbers, a
+    quaternion not of unit length, stamps that do not increase; or if there is no pose, or of most
+    lines none.
     """
     path = Path(path)
-    stamps: list[int] = []
-    rows: list[list[float]] = []
-    for number, line in _data_lines(path):
+    poses: dict[int, list[float]] = {}
+    faults: list[str] = []
+    latest_ns, late = -_STAMP_LIMIT_NS, 0
+    for number, words in data_rows(path, scalar_last=True):
         try:
-            stamp_ns, row = _parse_pose(line)
-            if stamps and stamp_ns <= stamps[-1]:
+            stamp_ns, row = parse_pose(words)
+            if stamp_ns in poses or (left_out is None and stamp_ns < latest_ns):
                 raise ValueError(
                     f'stamp {format_stamp_ns(stamp_ns)} does not come after '
-                    f'{format_stamp_ns(stamps[-1])}'
+                    f'{format_stamp_ns(latest_ns)}'
                 )
         except ValueError as error:
-            raise TrajectoryFileError(f'{path}:{number}: {error}') from None
-        stamps.append(stamp_ns)
-        rows.append(row)
-    if not rows:
+            faults.append(f'{path}:{number}: {error}')
+            if left_out is None:
+                break
+            continue
+        late += stamp_ns < latest_ns
+        latest_ns = max(latest_ns, stamp_ns)
+        poses[stamp_ns] = row
+    if faults and (left_out is None or len(faults) > len(poses)):
+        raise TrajectoryFileError(faults[0])
+    if not poses:
         raise TrajectoryFileError(f'{path}: holds no pose')
-    values = np.array(rows)
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, 3] = values[:, :3]
-    poses[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
-    return Trajectory(np.array(stamps, dtype=np.int64), poses)
+    if left_out is not None:
+        left_out += _notes(path, faults, len(poses), late)
+    return trajectory_of(poses)
+
+
+def trajectory_of(poses: Mapping[int, Sequence[float]]) -> Trajectory:
+    """Return the trajectory of one pose or more, tx ty tz qx qy qz qw, by their stamps in ns."""
+    stamps = sorted(poses)
+    values = np.array([poses[stamp_ns] for stamp_ns in stamps])
+    T_world_cam = np.tile(np.eye(4), (len(stamps), 1, 1))
+    T_world_cam[:, :3, 3] = values[:, :3]
+    T_world_cam[:, :3, :3] = Rotation.from_quat(values[:, 3:]).as_matrix()
+    return Trajectory(np.array(stamps, dtype=np.int64), T_world_cam)
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
@@ -103,20 +131,56 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
         raise TrajectoryFileError(f'{path}: cannot be written: {reason}') from error
 
 
-def _data_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Return number and text of each line that is neither empty nor a comment."""
+def data_rows(path: Path, scalar_last: bool = False) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and words of each line of a table that is no comment, heading or empty.
+
+    Words are separated by blanks or commas. With `scalar_last`, the words are poses: in a table
+    whose heading names w as the first part of the quaternion, it becomes the last. Raises
+    `TrajectoryFileError` if the file cannot be read.
+    """
     try:
-        text = path.read_text(encoding='utf-8', errors='replace')
+        text = path.read_text(encoding='utf-8-sig', errors='replace')
     except OSError as error:
         raise TrajectoryFileError(f'{path}: cannot be read: {error.strerror}') from error
+    heading, begun = '', False
     for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith('#'):
-            yield number, line
+        words = _words(line)
+        if not words:
+            continue
+        if line.lstrip().startswith('#') or not (begun or re.search('[0-9]', words[0])):
+            heading += f' {line.lower()}'
+            continue
+        begun = True
+        if scalar_last and _is_scalar_first(heading, words):
+            words[4:8] = [*words[5:8], words[4]]
+        yield number, words[:8] if scalar_last and len(words) == _EUROC_COLUMNS else words
 
 
-def _parse_pose(line: str) -> tuple[int, list[float]]:
-    """Return stamp and seven numbers of one line; raises `ValueError` with what is wrong."""
+def _words(line: str) -> list[str]:
     words = line.split()
+    with_commas = len(words) == 1 or any(word.endswith(',') for word in words)
+    return line.replace(',', ' ').split() if with_commas else words
+
+
+def _is_scalar_first(heading: str, words: list[str]) -> bool:
+    """Return whether the quaternion of these columns begins with w, as its heading says."""
+    quaternion = re.search(r'\bq\w*', heading)
+    return len(words) >= 8 and quaternion is not None and quaternion[0].endswith('w')
+
+
+def _notes(path: Path, faults: list[str], good: int, late: int) -> list[str]:
+    """Return what was left out and what was sorted, a line each."""
+    notes = []
+    if faults:
+        total = good + len(faults)
+        notes.append(f'left out {len(faults)} of {total} poses; the first: {faults[0]}')
+    if late:
+        notes.append(f'{path}: {late} of {good} poses were not in order of their stamps')
+    return notes
+
+
+def parse_pose(words: Sequence[str]) -> tuple[int, list[float]]:
+    """Return stamp in ns and seven numbers of a line's words; raises `ValueError`."""
     if len(words) != 8:
         raise ValueError(f'{len(words)} columns, not 8 (stamp tx ty tz qx qy qz qw)')
     row = [float(word) for word in words[1:]]

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from ..core.camera import PinholeCamera
 from ..core.config.nodes import TrackerSettings, core_config
 from ..core.config.presets import ONLINE
 from ..core.config.schema import override
@@ -26,7 +25,8 @@ from .health import LOADING
 from .lifetime import Worker, run
 from .messages.diagnostics import diagnostics
 from .parameters import Parameters
-from .tracking.camera_subscriber import CameraSubscriber, SomeImage, read_frame
+from .tracking.camera_subscriber import CameraSubscriber
+from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
@@ -51,7 +51,7 @@ class TrackerNode(Node):
         settings = self._params.settings
         node_settings = settings.node
         self._outputs = TrackerOutputs(self, node_settings)
-        self._camera = CameraSubscriber(self, node_settings, self._warn)
+        self._camera = CameraSubscriber(self, node_settings, self._warn, self._outputs.lookup)
         self._session = TrackingSession(core_config(settings), np.eye(4), self._warn)
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
@@ -91,11 +91,11 @@ class TrackerNode(Node):
         self.get_logger().info('ready')
         queue = self._camera.queue
         while not queue.closed:
-            pair, camera = queue.take(0.2), self._camera.camera
-            if pair is None or camera is None:
+            pair = queue.take(0.2)
+            if pair is None or not self._camera.reader.has_camera:
                 continue
             try:
-                self._track(pair, camera)
+                self._track(pair)
             except DcgsError as error:
                 self._session.refuse(error)
 
@@ -108,9 +108,11 @@ class TrackerNode(Node):
             sizes = f'{len(found.rows)} Gaussians, {len(found.poses)} keyframes'
             self.get_logger().info(f'going on in a map of {sizes}')
 
-    def _track(self, pair: ImagePair[SomeImage, SomeImage], camera: PinholeCamera) -> None:
+    def _track(self, pair: ImagePair[SomeImage, SomeImage]) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
-        frame, camera_frame = read_frame(pair), pair.color.header.frame_id
+        per_metre = self._params.settings.node.depth_per_metre
+        frame, camera = self._camera.reader.read(pair, per_metre)
+        camera_frame = pair.color.header.frame_id
         session, to_base = self._session, self._outputs.camera_to_base(camera_frame)
         session.T_world_first = to_base.T_base_cam
         epoch = session.epoch

@@ -68,6 +68,12 @@ def held_still(folder: Path) -> Path:
     return folder
 
 
+def lines_of(out: str) -> dict[str, str]:
+    """Return the table's second column by its first."""
+    pairs = [line.strip().partition('  ') for line in out.splitlines()[1:]]
+    return {label: text.strip() for label, _, text in pairs}
+
+
 def run_into(folder: Path, *words: str) -> Run:
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):

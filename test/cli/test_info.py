@@ -8,16 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from running import lines_of  # type: ignore[import-not-found]
 
 from dcgs_ros.cli.main import main
 
 Writer = Callable[..., Path]
-
-
-def lines_of(out: str) -> dict[str, str]:
-    """Return the table's second column by its first."""
-    pairs = [line.strip().partition('  ') for line in out.splitlines()[1:]]
-    return {label: text.strip() for label, _, text in pairs}
 
 
 def test_a_dataset_is_described(tum_folder: Writer, capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,6 +25,8 @@ def test_a_dataset_is_described(tum_folder: Writer, capsys: pytest.CaptureFixtur
     assert lines['duration'].startswith('about 0.1 s')
     assert lines['depth stamp'].startswith('+5.0 ms')
     assert lines['camera'].startswith('64x48; fx 60 fy 61 cx 31.5 cy 23.5; no distortion')
+    assert lines['depth unit'].startswith('5000 per metre')
+    assert 'warning' not in lines and 'note' not in lines
     assert lines['depth'].startswith('100 % of the pixels, 100 %')
     assert lines['depth range'].startswith('1.00 to 1.40 m')
     assert lines['ground truth'] == '5 poses, 0.1 s, 0.00 m'

@@ -94,9 +94,8 @@ def test_broken_datasets(refusal: Refusal, tum_folder: Writer) -> None:
     words = ('run', str(folder), '--camera', SMALL)
     index = folder / 'rgb.txt'
     good = index.read_text()
-    lines = good.splitlines()
-    index.write_text('\n'.join([lines[0], lines[2], lines[1], *lines[3:]]))
-    assert 'rgb.txt' in refusal(*words)
+    index.write_text(good + '100.5 rgb/9.png 8\n')
+    assert 'rgb.txt:6: 3 columns' in refusal(*words)
     index.write_text(good.replace(' rgb', '9 rgb').replace('100.', '300.'))
     assert 'no' in refusal(*words)
     index.write_text(good)
@@ -138,11 +137,24 @@ def test_evaluate_names_the_file_that_is_wrong(refusal: Refusal, tmp_path: Path)
     good, bad, late = (tmp_path / f'{name}.tum' for name in ('good', 'bad', 'late'))
     poses = [f'{k} {k * k} 0 0 0 0 0 1\n' for k in range(5)]
     good.write_text(''.join(poses))
-    bad.write_text(poses[0] + '1 nan 0 0 0 0 0 1\n')
+    bad.write_text(poses[0] + '1 nan 0 0 0 0 0 1\n2 nan 0 0 0 0 0 1\n')
     late.write_text(''.join(f'9{line}' for line in poses))
     assert f'{bad}' in refusal('evaluate', str(good), str(bad))
     assert 'missing.tum' in refusal('evaluate', 'missing.tum', str(good))
     assert 'found 0 of 5 poses' in refusal('evaluate', str(good), str(late))
+
+
+def test_evaluate_leaves_out_a_bad_pose_of_the_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, truth = tmp_path / 'good.tum', tmp_path / 'truth.tum'
+    poses = [f'{k} {k * k} 0 0 0 0 0 1\n' for k in range(5)]
+    good.write_text(''.join(poses))
+    truth.write_text(''.join([*poses, '5 0 0 0 0 0 0 0\n']))
+    assert main(['evaluate', str(good), str(truth)]) == 0
+    printed = capsys.readouterr()
+    assert '5 of 5 poses' in printed.out
+    assert f'left out 1 of 6 poses; the first: {truth}:6: quaternion' in printed.err
 
 
 @pytest.mark.parametrize(

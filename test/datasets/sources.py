@@ -33,6 +33,8 @@ class MemorySource:
     groundtruth: Trajectory | None = None
     sensor: SensorNoise = SENSOR
     name: str = 'memory'
+    depth_per_metre: float | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.frames)

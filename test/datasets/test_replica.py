@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
+from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.replica import is_replica, open_replica
 from dcgs_ros.datasets.source import BadFrame, SourceError
 
@@ -41,6 +43,39 @@ def test_frames_are_what_was_written(scene: Path) -> None:
         assert frame.depth_stamp_ns == frame.stamp_ns
         assert np.abs(frame.color.astype(int) - folders.color_of(k)).max() <= JPEG_ERROR
         np.testing.assert_allclose(frame.depth_m, 1 + 0.1 * k, atol=HALF_A_STEP_M)
+
+
+def test_color_may_be_png(scene: Path) -> None:
+    for path in (scene / 'results').glob('*.jpg'):
+        folders.write_image(path.with_suffix('.png'), folders.color_of(int(path.stem[-6:])))
+        path.unlink()
+    assert is_replica(scene)
+    for k, frame in enumerate(folders.good_frames(open_replica(scene))):
+        np.testing.assert_array_equal(frame.color, folders.color_of(k))
+
+
+def test_the_layout_of_semantic_nerf(tmp_path: Path) -> None:
+    """The camera sees 90 degrees across; 10 comes after 9."""
+    folder = tmp_path / 'room_0' / 'Sequence_1'
+    for k in range(11):
+        folders.write_image(folder / f'rgb/rgb_{k}.png', folders.color_of(k))
+        depth = np.full((48, 64), 1000 + 100 * k, np.uint16)
+        folders.write_image(folder / f'depth/depth_{k}.png', depth)
+    rows = ''.join(folders.matrix_row(folders.pose_of(k)) + '\n' for k in range(11))
+    (folder / 'traj_w_c.txt').write_text(rows)
+    assert not is_replica(folder)
+    source = open_source(str(folder))
+    assert source.camera == PinholeCamera(64, 48, 32.0, 32.0, 31.5, 23.5)
+    assert source.depth_per_metre == 1000
+    for k, frame in enumerate(folders.good_frames(source)):
+        assert frame.stamp_ns == stamp_of_index(k)
+        np.testing.assert_array_equal(frame.color, folders.color_of(k))
+        np.testing.assert_allclose(frame.depth_m, 1 + 0.1 * k, rtol=1e-6)
+    assert source.groundtruth is not None
+    expected = [folders.pose_of(k) for k in range(11)]
+    np.testing.assert_allclose(
+        source.groundtruth.T_world_cam, expected, atol=folders.POSE_TOLERANCE
+    )
 
 
 def test_poses_are_what_was_written(scene: Path) -> None:

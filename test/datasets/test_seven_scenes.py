@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.indexed_frames import stamp_of_index
+from dcgs_ros.datasets.options import SourceOptions
 from dcgs_ros.datasets.seven_scenes import DEPTH_CAMERA, is_seven_scenes, open_seven_scenes
 from dcgs_ros.datasets.source import BadFrame, SourceError
 
@@ -36,6 +38,21 @@ def test_a_wall_stays_as_far_away(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.color, folders.color_of(k, (640, 480)))
         seen = frame.depth_m[frame.depth_m > 0]
         np.testing.assert_allclose(seen, (1.0, 2.5)[k], atol=FLOAT32_STEP)
+
+
+def test_color_may_be_jpeg_and_the_unit_another(tmp_path: Path) -> None:
+    folder = folders.write_seven_scenes(tmp_path / 'seq-01', [wall(1000), wall(65535)])
+    for path in folder.glob('*.color.png'):
+        folders.write_image(path.with_suffix('.jpg'), folders.color_of(3, (640, 480)))
+        path.unlink()
+    assert is_seven_scenes(folder)
+    source = open_seven_scenes(folder, options=SourceOptions(depth_per_metre=500, rate_hz=10))
+    frame, nothing = source
+    assert isinstance(frame, RgbdFrame)
+    np.testing.assert_allclose(frame.depth_m[frame.depth_m > 0], 2.0, atol=FLOAT32_STEP)
+    assert isinstance(nothing, BadFrame)  # 65535 is no depth, whatever the unit
+    assert source.groundtruth is not None
+    assert source.groundtruth.stamps_ns.tolist() == [0, 100_000_000]
 
 
 def test_an_edge_is_seen_by_the_color_camera_where_it_stands(tmp_path: Path) -> None:

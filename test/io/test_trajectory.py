@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import re
 from decimal import Decimal
 from pathlib import Path
 
@@ -105,7 +106,6 @@ def test_comments_and_empty_lines_are_skipped(tmp_path: Path) -> None:
 
 BAD_LINES = {
     'columns': ('2.0 1 2 3 0 0 0', '7 columns, not 8'),
-    'commas': ('2.0,1,2,3,0,0,0,1', '1 columns, not 8'),
     'word': ('2.0 1 x 3 0 0 0 1', "'x'"),
     'nan': ('2.0 1 nan 3 0 0 0 1', 'not finite: 1 nan 3'),
     'infinity': ('2.0 1 2 inf 0 0 0 1', 'not finite'),
@@ -124,6 +124,61 @@ def test_a_bad_line_is_named(tmp_path: Path, fault: str) -> None:
     path.write_text(f'# comment\n{GOOD}{line}\n')
     with pytest.raises(TrajectoryFileError, match=rf'bad\.txt:3: .*{reason}'):
         read_tum(path)
+
+
+@pytest.mark.parametrize('fault', BAD_LINES)
+def test_a_bad_pose_of_many_is_left_out_and_named(tmp_path: Path, fault: str) -> None:
+    line, reason = BAD_LINES[fault]
+    path, left_out = tmp_path / 'bad.txt', list[str]()
+    path.write_text(f'{GOOD}{line}\n2.5 1 2 3 0 0 0 1\n')
+    found = read_tum(path, left_out)
+    if fault == 'unsorted':  # nothing is wrong with the pose
+        assert found.stamps_ns.tolist() == [1_400_000_000, 1_500_000_000, 2_500_000_000]
+        assert left_out == [f'{path}: 1 of 3 poses were not in order of their stamps']
+    else:
+        assert found.stamps_ns.tolist() == [1_500_000_000, 2_500_000_000]
+        (note,) = left_out
+        assert re.search(rf'left out 1 of 3 poses; the first: .*bad\.txt:2: .*{reason}', note)
+
+
+def test_a_file_of_bad_poses_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / 'bad.txt'
+    path.write_text(f'{GOOD}2 0 0 nan 0 0 0 1\n3 0 0 nan 0 0 0 1\n')
+    with pytest.raises(TrajectoryFileError, match=r'bad\.txt:2: pose is not finite'):
+        read_tum(path, [])
+
+
+HALF = 0.7071067811865476
+TURN = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+TABLES = {
+    'commas': f'1.5,1,2,3,0,0,{HALF},{HALF}\n',
+    'commas and blanks': f'1.5, 1, 2, 3, 0, 0, {HALF}, {HALF}\n',
+    'tabs': f'1.5\t1\t2\t3\t0\t0\t{HALF}\t{HALF}\n',
+    'heading': f'timestamp,tx,ty,tz,qx,qy,qz,qw\n1.5,1,2,3,0,0,{HALF},{HALF}\n',
+    'byte order mark': f'\ufeff1.5 1 2 3 0 0 {HALF} {HALF}\n',
+    'w first': f'#timestamp, x, y, z, qw, qx, qy, qz\n1.5,1,2,3,{HALF},0,0,{HALF}\n',
+    'EuRoC': '#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], '
+    'q_RS_y [], q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], '
+    'b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1], b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], '
+    'b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]\n'
+    f'1500000000000000000,1,2,3,{HALF},0,0,{HALF},9,9,9,9,9,9,9,9,9\n',
+}
+
+
+@pytest.mark.parametrize('kind', TABLES)
+def test_tables_as_other_tools_write_them(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / 'truth.csv'
+    path.write_text(TABLES[kind], encoding='utf-8')
+    found = read_tum(path)
+    np.testing.assert_allclose(found.T_world_cam[0], TURN, atol=1e-12)
+    assert found.stamps_ns[0] == (1_500_000_000 if kind != 'EuRoC' else 1_500_000_000 * 10**9)
+
+
+@pytest.mark.parametrize('digits', [3, 6, 9])
+def test_whole_numbers_since_1970_tell_their_unit(digits: int) -> None:
+    assert parse_stamp_ns('1403636579' + '763555584'[:digits]) == int(
+        '1403636579' + '763555584'[:digits].ljust(9, '0')
+    )
 
 
 def test_files_that_hold_nothing_or_are_none(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.datasets.images.resampling import resample_color, resample_depth
 from dcgs_ros.datasets.source import BadFrame, Source
 from dcgs_ros.nodes.harness.observer import Observer
 from dcgs_ros.nodes.messages.images import (
@@ -212,3 +213,14 @@ def halved(frame: RgbdFrame, camera: PinholeCamera) -> Shot:
             cx=(camera.cx + 0.5) / 2 - 0.5, cy=(camera.cy + 0.5) / 2 - 0.5,
         ),
     )  # fmt: skip
+
+
+def zoomed(frame: RgbdFrame, camera: PinholeCamera, zoom: float) -> Shot:
+    """The same view with other focal lengths."""
+    now = replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy)
+    seen = replace(
+        frame,
+        color=resample_color(frame.color, camera, now),
+        depth_m=resample_depth(frame.depth_m, camera, now),
+    )
+    return shot(seen, now)

@@ -14,6 +14,7 @@ from ...core.errors import DcgsError
 from ...core.kernels.workers import Workers
 from ...core.mapping.mapper import mapper_threads
 from ...datasets.open import open_source
+from ...datasets.options import join_options
 from ...datasets.source import SourceError
 from ...evaluation.report import RunRecord
 from ..arguments import RunArguments, UsageError
@@ -31,10 +32,18 @@ class RunError(DcgsError):
 def execute(arguments: RunArguments) -> int:
     """Run the sequence and return the exit status; what was computed is written in any case."""
     _check(arguments)
-    source = open_source(arguments.source, arguments.camera, arguments.groundtruth)
+    source = open_source(
+        arguments.source, arguments.camera, arguments.groundtruth, arguments.options
+    )
     config = configure(source.sensor, arguments)
     folder = create_folder(arguments.out, source.name)
-    record = RunRecord(source.name, config.ablation, arguments.source, arguments.camera)
+    record = RunRecord(
+        source.name,
+        config.ablation,
+        join_options(arguments.source, arguments.options),
+        arguments.camera,
+        source.depth_per_metre,
+    )
     total = min(len(source), arguments.max_frames or len(source))
     try:
         with closing(Workers(mapper_threads(config, arguments.online))) as workers:
@@ -69,22 +78,37 @@ def _check(arguments: RunArguments) -> None:
 
 def _is_lost(record: RunRecord) -> bool:
     """Return whether no frame was tracked but the first, which nothing can be tracked against."""
-    return len(record.tracked) > 1 and len(record.trajectory()) <= 1
+    frames = len(record.tracked) + len(record.skipped)
+    return frames > 1 and len(record.trajectory()) <= 1
 
 
 def _lost(record: RunRecord, folder: Path) -> str:
-    """Return how much of its frames a run that tracked nothing could use."""
+    """Return how much of its frames a run that tracked nothing could use, and what is likely."""
+    frames = len(record.tracked) + len(record.skipped)
+    lost = len(record.tracked) - len(record.trajectory())
+    causes = [f'the camera is lost in {lost} of {frames} frames{_fit(record)}']
+    if record.skipped:
+        first = record.skipped[0]
+        causes.append(
+            f'{len(record.skipped)} are skipped; the first: {first.name}: {first.reason}'
+        )
+    causes += record.warnings
+    return (
+        f'nothing was tracked: {". ".join(causes)}. Check depth, intrinsics and pairing with '
+        f'`dcgs info`. What was written is in {folder}'
+    )
+
+
+def _fit(record: RunRecord) -> str:
+    """Return how much of a median frame fits the map."""
     later = record.tracked[1:]
+    if not later:
+        return ''
     points, inliers = (
         int(np.median([getattr(frame.result, name) for frame in later]))
         for name in ('points', 'inliers')
     )
-    count, lost = len(record.tracked), len(record.tracked) - len(record.trajectory())
-    return (
-        f'nothing was tracked: the camera is lost in {lost} of {count} frames; of a median frame '
-        f'{inliers} of {points} depth points fit the map. Check depth, intrinsics and pairing '
-        f'with `dcgs info`. What was written is in {folder}'
-    )
+    return f'; of a median frame {inliers} of {points} depth points fit the map'
 
 
 def _no_usable_frame(record: RunRecord) -> str:

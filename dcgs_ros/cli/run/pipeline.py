@@ -63,6 +63,8 @@ class Pipeline:
         """Track and map frame by frame into `record`, until the last one or until `stopped`."""
         start = time.perf_counter()
         for index, item in enumerate(items):
+            if isinstance(item, RgbdFrame):
+                record.depth.add(item)
             outcome = self._track(index, item)
             if isinstance(outcome, TrackedFrame):
                 record.tracked.append(outcome)

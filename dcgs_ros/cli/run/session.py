@@ -11,12 +11,15 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from ... import __version__
 from ...core.kernels.workers import Workers
 from ...core.render import make_renderer
 from ...datasets.prefetch import prefetch_frames
 from ...datasets.source import Source
 from ...evaluation.contact_sheet import write_contact_sheet
+from ...evaluation.depth_range import scale_warning
 from ...evaluation.host import machine, peak_rss_mb
 from ...evaluation.report import Accuracy, RunRecord, assess_run, build_report, with_rendering
 from ...evaluation.scoring import score_map
@@ -53,6 +56,8 @@ class Session:
     def process(self, total: int, stopped: Callable[[], bool]) -> None:
         """Track and map the first `total` frames, then refine the map, until `stopped`."""
         pipeline, record, deferred = self._pipeline, self._record, self.deferred
+        for note in self._source.notes:
+            self._warn(note)
         print(f'dcgs: tracking {total} frames of {record.source}', file=sys.stderr, flush=True)
         arrive = at_recorded_pace if pipeline.online else on_demand
         decoded = prefetch_frames(self._source, total, quietly=not pipeline.online)
@@ -62,6 +67,7 @@ class Session:
             if record.tracked:
                 with deferred:
                     write_tracks(self._folder, record, pipeline.tracker.config)
+            self._survey_depth()
             with deferred:  # even after a failure: this ends the mapper's thread
                 pipeline.refine(record, progress, lambda: stopped() or deferred.failed)
         if pipeline.online:  # the mapper worked all the time
@@ -72,11 +78,23 @@ class Session:
         self._save_map()
         with self.deferred:
             self._accuracy = assess_run(self._record, self._source.groundtruth)
+            self._warn(scale_warning(self._accuracy.ate, self._record.depth_per_metre))
             self._record.wall_s = time.perf_counter() - self._asked_s
             self._report = build_report(
                 self._record, self._accuracy, machine(), peak_rss_mb(), __version__
             )
             write_report(self._folder, self._report)
+
+    def _survey_depth(self) -> None:
+        """Warn if the depth is hardly where the sensor measures: its unit may be wrong."""
+        record, sensor = self._record, self._pipeline.tracker.config.sensor
+        record.depth_in_range = record.depth.share(sensor)
+        self._warn(record.depth.warning(sensor, record.depth_per_metre))
+
+    def _warn(self, text: str | None) -> None:
+        if text is not None:
+            self._record.warnings.append(text)
+            tqdm.write(f'dcgs: warning: {text}', file=sys.stderr)
 
     def _save_map(self) -> None:
         mapper, record, deferred = self._pipeline.mapper, self._record, self.deferred

@@ -52,6 +52,18 @@ class TrackerNodeSettings(Stage):
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
     )
+    depth_registration: Literal['auto', 'none', 'extrinsics'] = described(
+        'auto',
+        'Registration of depth to colour. none: depth is registered already; extrinsics: by TF '
+        'between the frames of the images; auto: by their frames, the topic and the intrinsics.',
+    )
+    depth_per_metre: float | None = ranged(
+        None,
+        1,
+        1e6,
+        'Value of a depth pixel at one metre; auto: 1000 of 16 bits, millimetres, and 1 of 32FC1, '
+        'metres.',
+    )
     path_rate_hz: float = ranged(
         1.0, 0, 30, 'Rate at which the path is published, hertz; 0: never.'
     )

@@ -4,72 +4,113 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.camera import CameraError
 from ...core.trajectory import Trajectory
-from ...io.ros_images import MessageError
-from ...io.trajectory import format_stamp_ns
-from ..images.association import MAX_PAIR_GAP_NS, associate_stamps
+from ...io.ros_images import MessageError, read_camera
+from ..images.association import pair_stamps
+from ..images.camera_timeline import CameraTimeline
+from ..images.indexed_frames import stamp_of_index
+from ..images.stamps import OrderedStamps, order_stamps
+from ..options import AS_STORED, SourceOptions
 from ..source import BadFrame, SourceError
 from .extrinsics import read_transform
 from .messages import POSE, RawMessage, decode, read_header
 from .recording import raw_messages
 from .recovery.losses import DamagedError
-from .topics import GROUNDTRUTH_TOPIC
+from .topics import GROUNDTRUTH_TOPIC, CameraTopics
 
-_MAX_STEP_BACK_NS = 1_000_000_000  # of stamps; a larger step means another recording
+_AFTER_STAMP = 12  # byte of a message that begins with a header
+
+
+class RecordedImage(NamedTuple):
+    """An image of a topic: the stamp in its header, and how many before it have the same."""
+
+    header_ns: int
+    earlier: int
+
+
+class RecordedPair(NamedTuple):
+    """Colour and depth of a frame: their stamps, as ordered, and which images these are."""
+
+    color_ns: int
+    depth_ns: int
+    color: RecordedImage
+    depth: RecordedImage
 
 
 @dataclass(frozen=True)
 class RecordingContents:
     """What a recording holds, without the images themselves."""
 
-    pairs: list[tuple[int, int]]  # stamps of colour and depth, by colour
+    pairs: list[RecordedPair]  # by colour's stamp
     groundtruth: Trajectory | None
     lost: list[BadFrame]  # unreadable messages, and what else of a damaged recording is lost
+    notes: tuple[str, ...]  # what was left out, or changed of the stamps
+    cameras: dict[str, CameraTimeline]  # by topic of their CameraInfo
 
 
-def read_contents(path: Path | str, color: str, depth: str) -> RecordingContents:
-    """Read the headers of the images, and the ground truth's poses.
+def read_contents(
+    path: Path | str, topics: CameraTopics, options: SourceOptions = AS_STORED
+) -> RecordingContents:
+    """Read the headers of the images, their CameraInfo, and the ground truth's poses.
 
-    Raises `SourceError` if no colour and depth image are a pair, or stamps step back by more than
-    a second.
+    Raises `SourceError` if no colour and depth image are a pair, or stamps are missing.
     """
-    stamps: dict[str, list[int]] = {color: [], depth: []}
+    stamps: dict[str, list[int]] = {topics.color: [], topics.depth: []}
+    infos = {topic: _InfoReader() for topic in (topics.camera_info, topics.depth_info) if topic}
     poses: dict[int, NDArray[np.float64]] = {}
     lost = []
     number = 0
     try:
         for number, message in enumerate(
-            raw_messages(path, (*stamps, GROUNDTRUTH_TOPIC), heads=True), 1
+            raw_messages(path, (*stamps, *infos, GROUNDTRUTH_TOPIC), heads=True), 1
         ):
             try:
                 if message.topic in stamps:
-                    _add_stamp(stamps[message.topic], read_header(message.cdr)[0])
+                    stamps[message.topic].append(read_header(message.cdr)[0])
+                elif message.topic in infos:
+                    infos[message.topic].read(message)
                 elif message.type == POSE:
                     poses.setdefault(*_read_pose(message))
             except MessageError as error:
                 lost.append(BadFrame(f'message {number} ({message.topic})', str(error)))
-            except SourceError as error:
-                where = f'{message.topic}, message {len(stamps[message.topic]) + 1}'
-                raise SourceError(f'{path}: {where}: {error}') from error
     except DamagedError as error:
         lost.append(BadFrame('end of the recording', str(error)))
-    pairs = _paired(path, stamps[color], stamps[depth], lost)
-    return RecordingContents(pairs, _trajectory(poses), lost)
+    color, depth = topics.color, topics.depth
+    try:
+        pairs, notes = _paired(str(path), color, stamps[color], depth, stamps[depth], options)
+    except SourceError as error:
+        damage = f'; {lost[-1].name}: {lost[-1].reason}' if lost else ''
+        raise SourceError(f'{error}{damage}') from None
+    cameras = {topic: reader.timeline for topic, reader in infos.items()}
+    return RecordingContents(pairs, _trajectory(poses), lost, notes, cameras)
 
 
-def _add_stamp(stamps: list[int], stamp_ns: int) -> None:
-    if stamps and stamp_ns < stamps[-1] - _MAX_STEP_BACK_NS:
-        raise SourceError(
-            f'its stamp {format_stamp_ns(stamp_ns)} is before {format_stamp_ns(stamps[-1])}: '
-            'these are several recordings in one'
-        )
-    stamps.append(stamp_ns)
+class _InfoReader:
+    """Reads the CameraInfo of a topic, each of which mostly repeats the last one."""
+
+    def __init__(self) -> None:
+        """Begin."""
+        self.timeline = CameraTimeline()
+        self._last = b''
+
+    def read(self, message: RawMessage) -> None:
+        """Add a message; one without usable intrinsics changes nothing."""
+        if message.cdr[_AFTER_STAMP:] == self._last:
+            return
+        self._last = message.cdr[_AFTER_STAMP:]
+        with suppress(MessageError, CameraError):
+            camera = read_camera(decode(message.cdr, message.type))
+            self.timeline.add(read_header(message.cdr)[0], camera)
 
 
 def _read_pose(message: RawMessage) -> tuple[int, NDArray[np.float64]]:
@@ -85,22 +126,47 @@ def _trajectory(poses: dict[int, NDArray[np.float64]]) -> Trajectory | None:
 
 
 def _paired(
-    path: Path | str, color_ns: list[int], depth_ns: list[int], lost: list[BadFrame]
-) -> list[tuple[int, int]]:
-    """Pair the stamps; a repeated one counts once."""
-    color, depth = (np.unique(np.array(values, np.int64)) for values in (color_ns, depth_ns))
-    pairs = associate_stamps(color, depth, MAX_PAIR_GAP_NS)
-    if not pairs:
-        spans = [_span(stamps) for stamps in (color, depth)]
-        damage = f'; {lost[-1].name}: {lost[-1].reason}' if lost else ''
-        raise SourceError(
-            f'{path}: none of {len(color)} colour images has a depth image within '
-            f'{MAX_PAIR_GAP_NS / 1e6:.0f} ms: colour {spans[0]}, depth {spans[1]}{damage}'
+    path: str,
+    color_topic: str,
+    color_ns: list[int],
+    depth_topic: str,
+    depth_ns: list[int],
+    options: SourceOptions,
+) -> tuple[list[RecordedPair], tuple[str, ...]]:
+    """Pair the images by their stamps, or in their order at a rate; a repeated one counts once."""
+    colors, depths = _identified(color_ns), _identified(depth_ns)
+    notes: tuple[str, ...] = ()
+    if options.rate_hz is not None:
+        if len(colors) != len(depths):
+            note = f'{path}: {len(colors)} colour and {len(depths)} depth images, paired by order'
+            notes = (note,)
+        stamps = (stamp_of_index(k, options.rate_hz) for k in range(len(colors)))
+        frames = zip(stamps, colors, depths, strict=False)
+        return [RecordedPair(stamp, stamp, *images) for stamp, *images in frames], notes
+    first = _ordered(f'{path}: {color_topic}', color_ns)
+    second = _ordered(f'{path}: {depth_topic}', depth_ns, first.shifts_ns)
+    matched, unpaired = pair_stamps(first.stamps_ns, second.stamps_ns, options.sync_slop_s, path)
+    pairs = [
+        RecordedPair(
+            int(first.stamps_ns[i]),
+            int(second.stamps_ns[j]),
+            colors[first.images[i]],
+            depths[second.images[j]],
         )
-    return [(int(color[i]), int(depth[j])) for i, j in pairs]
+        for i, j in matched
+    ]
+    return pairs, (*first.notes, *second.notes, *unpaired)
 
 
-def _span(stamps: NDArray[np.int64]) -> str:
-    if not len(stamps):
-        return 'none'
-    return f'{format_stamp_ns(stamps[0])} to {format_stamp_ns(stamps[-1])} s'
+def _identified(stamps_ns: list[int]) -> list[RecordedImage]:
+    seen: Counter[int] = Counter()
+    images = []
+    for stamp_ns in stamps_ns:
+        images.append(RecordedImage(stamp_ns, seen[stamp_ns]))
+        seen[stamp_ns] += 1
+    return images
+
+
+def _ordered(name: str, stamps_ns: list[int], shifts_ns: tuple[int, ...] = ()) -> OrderedStamps:
+    array = np.array(stamps_ns, np.int64)
+    return order_stamps(array, name, lambda k: f'message {k + 1}', shifts_ns)

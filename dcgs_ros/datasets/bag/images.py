@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
+from ...core.lens_camera import Camera
 from ...io.images.transports import image_size, read_color, read_depth
 
 
-def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
+def color_of(message: Any, camera: Camera) -> NDArray[np.uint8]:
     """Decode an Image or CompressedImage to colour (H, W, 3) RGB or (H, W).
 
     Raises `FrameError` or `MessageError`; an image not of the camera's size is not decoded.
@@ -23,17 +23,17 @@ def color_of(message: Any, camera: PinholeCamera) -> NDArray[np.uint8]:
     return read_color(message)
 
 
-def depth_of(message: Any, camera: PinholeCamera, per_metre: float) -> NDArray[np.float32]:
+def depth_of(message: Any, camera: Camera, per_metre: float) -> NDArray[np.float32]:
     """Decode an Image or CompressedImage to depth (H, W) in metres, 0 = none.
 
-    `per_metre` is the value of 16 bits at one metre. Raises `FrameError` or `MessageError`; an
+    `per_metre` is the value of a pixel at one metre. Raises `FrameError` or `MessageError`; an
     image not of the camera's size is not decoded.
     """
     _check_size('depth', message, camera)
     return read_depth(message, per_metre)
 
 
-def _check_size(what: str, message: Any, camera: PinholeCamera) -> None:
+def _check_size(what: str, message: Any, camera: Camera) -> None:
     width, height = image_size(message)
     if (width, height) != (camera.width, camera.height):
         raise FrameError(

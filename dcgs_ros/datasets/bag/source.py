@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -11,13 +12,16 @@ from pathlib import Path
 from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
+from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
 from ...io.ros_images import MessageError
 from ...io.trajectory import format_stamp_ns, read_tum
+from ..images.registration import AS_RECORDED
+from ..options import AS_STORED, SourceOptions
 from ..source import BadFrame, ImuSample, sequence_name
 from .camera import RecordedCamera, find_camera
-from .contents import read_contents
+from .contents import RecordedImage, read_contents
 from .imu import imu_samples
 from .messages import RawMessage, decode, read_header
 from .recording import raw_messages
@@ -29,12 +33,14 @@ _MAX_WAITING = 100  # images of a topic that are held until their pair is due
 
 
 class BagSource:
-    """Colour and depth of a recording, paired by the stamps of their headers within 20 ms.
+    """Colour and depth of a recording, paired by the stamps of their headers.
 
     `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels instead of the recorded
     CameraInfo; `groundtruth` a trajectory file instead of the recorded poses. The topics are found
     unless they are given. Depth that is not registered to colour is registered with the recorded
-    extrinsics. Opening reads all messages once, for their stamps, and keeps none.
+    extrinsics; `options.depth_registration` overrides whether it is. Intrinsics that change
+    are followed: all frames are those of one camera. Opening reads all messages once, for their
+    stamps, and keeps none.
 
     Raises a `DcgsError` that names the topics or stamps that do not match. Of a damaged recording
     the readable part is read; the losses are the last `BadFrame`s.
@@ -42,7 +48,9 @@ class BagSource:
 
     camera: PinholeCamera
     sensor: SensorNoise
+    depth_per_metre: float | None
     groundtruth: Trajectory | None
+    notes: list[str]
     recorded: RecordedCamera
 
     def __init__(
@@ -52,17 +60,22 @@ class BagSource:
         groundtruth: Path | str | None = None,
         color_topic: str | None = None,
         depth_topic: str | None = None,
+        options: SourceOptions = AS_STORED,
     ) -> None:
         """Find the camera and pair the stamps."""
         self._path = path
         self.name = sequence_name(path)
-        self.recorded = find_camera(path, camera, color_topic, depth_topic)
+        self.recorded = find_camera(path, camera, color_topic, depth_topic, options)
         self.camera, self.sensor = self.recorded.camera, self.recorded.sensor
-        topics = self.recorded.topics
-        self._contents = read_contents(path, topics.color, topics.depth)
+        self.depth_per_metre = self.recorded.depth_per_metre
+        self._contents = read_contents(path, self.recorded.topics, options)
         self.groundtruth = self._contents.groundtruth
+        self.notes = [*self._contents.notes]
+        if self.recorded.registration.reason != AS_RECORDED:
+            depth = self.recorded.topics.depth
+            self.notes.append(f'{depth} is registered {self.recorded.registration.reason}')
         if groundtruth is not None:
-            self.groundtruth = read_tum(groundtruth)
+            self.groundtruth = read_tum(groundtruth, self.notes)
 
     def __len__(self) -> int:
         """Return the number of pairs of colour and depth, readable or not, and of losses."""
@@ -71,23 +84,29 @@ class BagSource:
     def __iter__(self) -> Iterator[RgbdFrame | BadFrame]:
         """Read the frames one by one; an unreadable one is a `BadFrame`."""
         topics, pairs = self.recorded.topics, self._contents.pairs
-        colors = _ImageReader(self._path, topics.color, {color_ns for color_ns, _ in pairs})
-        depths = _ImageReader(self._path, topics.depth, {depth_ns for _, depth_ns in pairs})
-        for number, (color_ns, depth_ns) in enumerate(pairs, start=1):
-            color, depth = colors.take(color_ns), depths.take(depth_ns)
+        colors = _ImageReader(self._path, topics.color, {pair.color for pair in pairs})
+        depths = _ImageReader(self._path, topics.depth, {pair.depth for pair in pairs})
+        for number, pair in enumerate(pairs, start=1):
+            color, depth = colors.take(pair.color), depths.take(pair.depth)
             try:
                 if color is None or depth is None:
                     raise FrameError(f'not there, or more than {_MAX_WAITING} images late')
                 images = self.recorded.images(
-                    decode(color.cdr, color.type), decode(depth.cdr, depth.type)
-                )
-                frame: RgbdFrame | BadFrame = RgbdFrame(color_ns, depth_ns, *images)
+                    decode(color.cdr, color.type), decode(depth.cdr, depth.type),
+                    self._camera_at(topics.camera_info, pair.color.header_ns),
+                    self._camera_at(topics.depth_info, pair.depth.header_ns),
+                )  # fmt: skip
+                frame: RgbdFrame | BadFrame = RgbdFrame(pair.color_ns, pair.depth_ns, *images)
             except (FrameError, MessageError) as error:
-                stamp = format_stamp_ns(color_ns)
+                stamp = format_stamp_ns(pair.color_ns)
                 name = f'frame {number} of {len(pairs)} (colour at {stamp} s)'
                 frame = BadFrame(name, str(error))
             yield frame
         yield from self._contents.lost
+
+    def _camera_at(self, topic: str | None, stamp_ns: int) -> Camera | None:
+        timeline = self._contents.cameras.get(topic or '')
+        return None if timeline is None else timeline.at(stamp_ns)
 
     def imu(self) -> Iterator[ImuSample]:
         """Read the measurements of all IMUs, in order of their stamps."""
@@ -95,29 +114,32 @@ class BagSource:
 
 
 class _ImageReader:
-    """Reads the images of one topic by their stamps.
+    """Reads the images of one topic, each as it is asked for.
 
     Each topic has its own reader, so that no images are held if one topic is recorded far behind
     the other.
     """
 
-    def __init__(self, path: Path | str, topic: str, wanted_ns: set[int]) -> None:
+    def __init__(self, path: Path | str, topic: str, wanted: set[RecordedImage]) -> None:
         self._messages = raw_messages(path, [topic])
-        self._wanted_ns = wanted_ns  # and not yet read
-        self._waiting: dict[int, RawMessage] = {}
+        self._wanted = wanted  # and not yet read
+        self._waiting: dict[RecordedImage, RawMessage] = {}
+        self._seen: Counter[int] = Counter()  # of each header's stamp
 
-    def take(self, stamp_ns: int) -> RawMessage | None:
-        """Read on until the image of this stamp; None if it is missing or comes too late."""
+    def take(self, image: RecordedImage) -> RawMessage | None:
+        """Read on until this image; None if it is missing or comes too late."""
         with suppress(StopIteration, DamagedError):  # losses are in the contents
-            while stamp_ns not in self._waiting and len(self._waiting) < _MAX_WAITING:
+            while image not in self._waiting and len(self._waiting) < _MAX_WAITING:
                 self._read_next()
-        self._wanted_ns.discard(stamp_ns)
-        return self._waiting.pop(stamp_ns, None)
+        self._wanted.discard(image)
+        return self._waiting.pop(image, None)
 
     def _read_next(self) -> None:
         message = next(self._messages)
         with suppress(MessageError):
             at_ns = read_header(message.cdr)[0]
-            if at_ns in self._wanted_ns:
-                self._wanted_ns.remove(at_ns)
-                self._waiting[at_ns] = message
+            image = RecordedImage(at_ns, self._seen[at_ns])
+            self._seen[at_ns] += 1
+            if image in self._wanted:
+                self._wanted.remove(image)
+                self._waiting[image] = message

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +12,9 @@ from numpy.typing import NDArray
 from ...io.trajectory import format_stamp_ns
 from ..source import SourceError
 
-MAX_PAIR_GAP_NS = 20_000_000  # between the stamps of colour and depth of one frame
+MAX_PAIR_GAP_NS = 20_000_000  # between the stamps of colour and depth of one frame, at 25 Hz
+LARGEST_PAIR_GAP_NS = 100_000_000  # that the tracker takes
+_MANY_UNPAIRED = 0.1  # of the colour images, which deserve a note
 
 
 class StampedPath(NamedTuple):
@@ -54,34 +54,56 @@ def associate_stamps(
     return sorted(partner.items())
 
 
-def pair_images(
-    folder: Path, color: Sequence[StampedPath], depth: Sequence[StampedPath]
-) -> list[StampPair]:
-    """Pair images, given in order of their stamps, within `MAX_PAIR_GAP_NS`.
+def pair_gap_ns(
+    color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64], slop_s: float | None
+) -> int:
+    """Return how far the stamps of a frame may be apart: `slop_s`, or by the rate of the images.
 
-    Raises `SourceError` if no two are that close.
+    That is half the interval of the faster stream: the nearest image is never farther.
     """
-    color_ns, depth_ns = (
-        np.array([image.stamp_ns for image in images], dtype=np.int64) for images in (color, depth)
-    )
-    matched = associate_stamps(color_ns, depth_ns, MAX_PAIR_GAP_NS)
+    if slop_s is not None:
+        return round(1e9 * slop_s)
+    halves = [np.median(np.diff(stamps)) / 2 for stamps in (color_ns, depth_ns) if len(stamps) > 1]
+    return int(np.clip(min(halves, default=0), MAX_PAIR_GAP_NS, LARGEST_PAIR_GAP_NS))
+
+
+def pair_stamps(
+    color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64], slop_s: float | None, name: str
+) -> tuple[list[tuple[int, int]], tuple[str, ...]]:
+    """Pair increasing stamps within `pair_gap_ns`; return indices, and a note if many are left.
+
+    Raises `SourceError`, which begins with `name`, if no two are that close.
+    """
+    gap_ns = pair_gap_ns(color_ns, depth_ns, slop_s)
+    matched = associate_stamps(color_ns, depth_ns, gap_ns)
     if not matched:
-        raise no_overlap(folder, color, depth)
-    return [StampPair(color[i], depth[j]) for i, j in matched]
+        raise no_overlap(name, color_ns, depth_ns, gap_ns)
+    left = len(color_ns) - len(matched)
+    if left <= _MANY_UNPAIRED * len(color_ns):
+        return matched, ()
+    note = (
+        f'{left} of {len(color_ns)} colour images have no depth image of their own within '
+        f'{gap_ns / 1e6:.0f} ms and are left out (--sync-slop-s {gap_ns / 1e9:g})'
+    )
+    return matched, (note,)
 
 
 def no_overlap(
-    folder: Path, color: Sequence[StampedPath], depth: Sequence[StampedPath]
+    name: str, color_ns: NDArray[np.int64], depth_ns: NDArray[np.int64], gap_ns: int
 ) -> SourceError:
     """Return the error that no colour image has a depth image close in time."""
+    if not len(color_ns) or not len(depth_ns):
+        return SourceError(f'{name}: {len(color_ns)} colour and {len(depth_ns)} depth images')
     ranges = [
-        f'{format_stamp_ns(images[0].stamp_ns)} to {format_stamp_ns(images[-1].stamp_ns)} s'
-        for images in (color, depth)
+        f'{format_stamp_ns(stamps.min())} to {format_stamp_ns(stamps.max())} s'
+        for stamps in (color_ns, depth_ns)
     ]
-    stamps = np.array([image.stamp_ns for image in depth])
-    gaps = [int(np.abs(stamps - image.stamp_ns).min()) for image in color]
+    gaps = [int(np.abs(depth_ns - stamp_ns).min()) for stamp_ns in color_ns]
+    remedy = ''
+    if min(gaps) <= LARGEST_PAIR_GAP_NS:
+        remedy = f'; --sync-slop-s {np.ceil(min(gaps) / 1e6 + 1) / 1e3:g} or more pairs some'
     return SourceError(
-        f'{folder}: none of {len(color)} colour images has a depth image within '
-        f'{MAX_PAIR_GAP_NS / 1e6:.0f} ms: colour {ranges[0]}, depth {ranges[1]}, '
-        f'gaps {min(gaps) / 1e6:.1f} to {max(gaps) / 1e6:.1f} ms'
+        f'{name}: none of {len(color_ns)} colour images has a depth image within '
+        f'{gap_ns / 1e6:.0f} ms: colour {ranges[0]}, depth {ranges[1]}, '
+        f'gaps {min(gaps) / 1e6:.1f} to {max(gaps) / 1e6:.1f} ms{remedy}'
     )

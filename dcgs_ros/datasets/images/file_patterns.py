@@ -12,36 +12,31 @@ from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 from ...io.trajectory import format_stamp_ns, parse_stamp_ns
+from ..options import SourceOptions
 from ..source import SourceError
-from .association import StampedPath, StampPair, pair_images
-from .indexed_frames import stamp_of_index
+from .association import StampedPath
+from .pairing import PairedImages, pair_images, pair_in_order
 
 
-def pair_by_order(folder: Path, color: str, depth: str, rate_hz: Fraction) -> list[StampPair]:
+def pair_by_order(folder: Path, color: str, depth: str, rate_hz: Fraction) -> PairedImages:
     """Pair the images that two patterns find in the order of names; frame i is at i / rate s.
 
     Raises `SourceError` if a pattern finds nothing, or they find different numbers of images.
     """
     colors, depths = find_images(folder, color), find_images(folder, depth)
-    if len(colors) != len(depths):
-        raise SourceError(
-            f'{folder}: {color} finds {len(colors)} images, {depth} {len(depths)}: images can be '
-            'paired by order only if their numbers are equal'
-        )
-    stamps = (stamp_of_index(index, rate_hz) for index in range(len(colors)))
-    return [
-        StampPair(StampedPath(stamp, first), StampedPath(stamp, second))
-        for stamp, first, second in zip(stamps, colors, depths, strict=True)
-    ]
+    try:
+        return pair_in_order(folder, colors, depths, rate_hz)
+    except SourceError as error:
+        raise SourceError(f'{error} ({color}, {depth})') from None
 
 
-def pair_by_name(folder: Path, color: str, depth: str) -> list[StampPair]:
+def pair_by_name(folder: Path, color: str, depth: str, options: SourceOptions) -> PairedImages:
     """Pair the images that two patterns find by their stamps: names without suffix, in seconds.
 
     Raises `SourceError` naming a file whose name is not a stamp, or with the gap in time between
     colour and depth.
     """
-    return pair_images(folder, _stamped(folder, color), _stamped(folder, depth))
+    return pair_images(folder, _stamped(folder, color), _stamped(folder, depth), options)
 
 
 def find_images(folder: Path, pattern: str) -> list[str]:

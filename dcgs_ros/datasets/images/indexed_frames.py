@@ -21,12 +21,17 @@ from .association import StampedPath, StampPair
 RATE_HZ = Fraction(30)  # of the cameras of all datasets without stamps
 
 
-def stamp_of_index(index: int, rate_hz: Fraction = RATE_HZ) -> int:
-    """Return the stamp, nanoseconds, of a frame by its index from 0: index / rate, rounded."""
-    return round(Fraction(index * 10**9) / rate_hz)
+def stamp_of_index(index: int, rate_hz: Fraction | float | None = None) -> int:
+    """Return the stamp, nanoseconds, of a frame by its index from 0: index / rate, rounded.
+
+    The rate is `RATE_HZ` if it is None.
+    """
+    return round(Fraction(index * 10**9) / Fraction(rate_hz or RATE_HZ))
 
 
-def pair_by_index(folder: Path, color: str, depth: str) -> list[StampPair]:
+def pair_by_index(
+    folder: Path, color: str, depth: str, rate_hz: float | None = None
+) -> list[StampPair]:
     """Pair the files that two regexes find by the frame number, the only group of each regex.
 
     The part of a regex before its last slash is a subfolder's name. Raises `SourceError` if no
@@ -41,18 +46,23 @@ def pair_by_index(folder: Path, color: str, depth: str) -> list[StampPair]:
         )
     return [
         StampPair(
-            *(StampedPath(stamp_of_index(index), paths[index]) for paths in (colors, depths))
+            *(
+                StampedPath(stamp_of_index(index, rate_hz), paths[index])
+                for paths in (colors, depths)
+            )
         )
         for index in both
     ]
 
 
-def indexed_trajectory(path: Path, poses: Mapping[int, NDArray[np.float64]]) -> Trajectory:
+def indexed_trajectory(
+    path: Path, poses: Mapping[int, NDArray[np.float64]], rate_hz: float | None = None
+) -> Trajectory:
     """Return the trajectory of those `poses` (4, 4), by increasing frame index, that are rigid.
 
     Raises `SourceError` with `path` if none is, as the file then has another convention.
     """
-    stamps_ns = np.array([stamp_of_index(index) for index in poses], dtype=np.int64)
+    stamps_ns = np.array([stamp_of_index(index, rate_hz) for index in poses], dtype=np.int64)
     truth = rigid_trajectory(stamps_ns, np.array(list(poses.values())).reshape(-1, 4, 4))
     if truth is None:
         raise SourceError(f'{path}: none of {len(poses)} poses is a rotation and a translation')

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from ...io.images.decoding import read_color_file, read_depth_file
 from ..camera_presets import CameraPreset
 from ..source import BadFrame, ImuSample, SourceError, sequence_name
 from .association import StampPair
+from .registration import SizeRegistration, same_shape
 
 # Colour (H, W, 3) RGB, depth (H, W) in metres.
 ColorDepth = tuple[NDArray[np.uint8], NDArray[np.float32]]
@@ -46,6 +48,7 @@ class ImageSequence:
     depth_per_metre: float  # raw value of a depth of one metre
     groundtruth: Trajectory | None = None
     register: Callable[[NDArray[np.uint8], NDArray[np.float32]], ColorDepth] = already_registered
+    notes: Sequence[str] = ()
 
     @classmethod
     def from_preset(
@@ -57,11 +60,21 @@ class ImageSequence:
         register: Callable[
             [NDArray[np.uint8], NDArray[np.float32]], ColorDepth
         ] = already_registered,
+        notes: Sequence[str] = (),
     ) -> ImageSequence:
-        """Make a sequence with the preset's camera, noise and unit, named after its folder."""
+        """Make a sequence with the preset's camera, noise and unit, named after its folder.
+
+        Depth that is smaller or larger than colour, of the same shape, is scaled to it.
+        """
         camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
+        if register is already_registered:
+            by_size = _by_size(folder, pairs, camera)
+            if by_size is not None:
+                camera, register = by_size.camera, by_size
+                width, height = by_size.depth_size
+                notes = (*notes, f'depth of {width}x{height} pixels is scaled to those of colour')
         name = sequence_name(folder)
-        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register)
+        return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register, notes)
 
     def __len__(self) -> int:
         """Return the number of pairs, readable or not."""
@@ -98,14 +111,39 @@ class ImageSequence:
         return RgbdFrame(pair.color.stamp_ns, pair.depth.stamp_ns, color, depth_m)
 
 
+def _by_size(
+    folder: Path, pairs: Sequence[StampPair], camera: PinholeCamera
+) -> SizeRegistration | None:
+    """Return what scales depth to the size of colour, if it has another one."""
+    size = camera.width, camera.height
+    try:
+        found = depth_size(folder, (pair.depth.path for pair in pairs))
+        if found == size or not same_shape(found, size) or color_size(folder, pairs) != size:
+            return None
+    except SourceError:  # said of each frame
+        return None
+    return SizeRegistration(camera, found)
+
+
 def color_size(folder: Path, pairs: Sequence[StampPair]) -> tuple[int, int]:
     """Return width and height of the first readable colour image; raises `SourceError`."""
+    return _first_size(folder, (pair.color.path for pair in pairs), 'colour', read_color_file)
+
+
+def depth_size(folder: Path, paths: Iterable[str]) -> tuple[int, int]:
+    """Return width and height of the first readable depth image; raises `SourceError`."""
+    return _first_size(folder, paths, 'depth', read_depth_file)
+
+
+def _first_size(
+    folder: Path, paths: Iterable[str], what: str, read: Callable[[Path, str], NDArray[Any]]
+) -> tuple[int, int]:
     reason: object = 'there are no images'
-    for pair in pairs:
+    for path in paths:
         try:
-            height, width = read_color_file(folder, pair.color.path).shape[:2]
+            height, width = read(folder, path).shape[:2]
         except FrameError as error:
             reason = error
         else:
             return width, height
-    raise SourceError(f'{folder}: no readable colour image tells its size: {reason}')
+    raise SourceError(f'{folder}: no readable {what} image tells its size: {reason}')

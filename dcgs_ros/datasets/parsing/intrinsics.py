@@ -41,14 +41,21 @@ def parse_intrinsics(text: str, width: int, height: int) -> PinholeCamera:
 
 
 def choose_camera(
-    text: str | None, default: CameraPreset, folder: Path, pairs: Sequence[StampPair]
+    text: str | None,
+    default: CameraPreset,
+    folder: Path,
+    pairs: Sequence[StampPair],
+    depth_per_metre: float | None = None,
 ) -> CameraPreset:
     """Return the preset or intrinsics that `text` names, or the default if it is None.
 
-    The depth unit is always the default's, as it is a property of the files. Intrinsics come with
-    the default's noise and the size of the images. Raises `SourceError` if `text` is neither
-    preset nor intrinsics, or if no image of `pairs` can be read for its size.
+    The depth unit is `depth_per_metre` or else the default's, whatever `text` names, as it is a
+    property of the files. Intrinsics come with the default's noise and the size of the images.
+    Raises `SourceError` if `text` is neither preset nor intrinsics, or if no image of `pairs` can
+    be read for its size.
     """
+    if depth_per_metre is not None:
+        default = dataclasses.replace(default, depth_per_metre=depth_per_metre)
     if text is None:
         return default
     if text in PRESETS:

@@ -20,18 +20,23 @@ MAX_TRANSLATION_M = 1e6  # a pose farther from the origin is a corrupt number
 _MAX_MATRIX_BYTES = 2**16  # of a file with sixteen numbers
 
 
-def parse_matrix(text: str) -> NDArray[np.float64]:
-    """Parse sixteen numbers, row by row, as (4, 4); raises `ValueError` for anything else."""
-    words = text.split()
+def parse_matrix(text: str, side: int = 4) -> NDArray[np.float64]:
+    """Parse sixteen numbers, row by row, as (4, 4); raises `ValueError` for anything else.
+
+    With another `side` that matrix is taken too. Numbers are separated by blanks or commas.
+    """
+    words = text.replace(',', ' ').split()
+    if len(words) == side**2:
+        return np.array([float(word) for word in words]).reshape(side, side)
     if len(words) != 16:
         raise ValueError(f'{len(words)} numbers, not the 16 of a 4x4 matrix')
     return np.array([float(word) for word in words]).reshape(4, 4)
 
 
-def read_matrix(path: Path) -> NDArray[np.float64]:
-    """Read a file of sixteen numbers as (4, 4); raises `SourceError`."""
+def read_matrix(path: Path, side: int = 4) -> NDArray[np.float64]:
+    """Read a file as `parse_matrix` does; raises `SourceError`."""
     try:
-        return parse_matrix(read_text(path, _MAX_MATRIX_BYTES))
+        return parse_matrix(read_text(path, _MAX_MATRIX_BYTES), side)
     except ValueError as error:
         raise SourceError(f'{path}: {error}') from None
 

@@ -70,6 +70,7 @@ class SensFile:
     frames: NDArray[Any]  # (N,) of _FRAME: the complete frames
     offsets: NDArray[np.int64]  # (N,) bytes, of their images
     loss: str | None  # why there are fewer frames than the header says
+    rate_hz: float | None = None  # instead of the stamps
 
     def read_images(
         self, file: BinaryIO, number: int
@@ -89,13 +90,16 @@ class SensFile:
         )
 
     def stamps_ns(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return stamps (N,) of colour and depth: the file's if they increase, else at 30 Hz.
+        """Return stamps (N,) of colour and depth: the file's if they increase, else at a rate.
+
+        That is `rate_hz`, also where they increase, or 30 Hz.
 
         Depth gets colour's stamps if its own are not of the same clock.
         """
         color_us, depth_us = self.frames['color_us'], self.frames['depth_us']
-        if not _increase(color_us):
-            stamps_ns = np.array([stamp_of_index(k) for k in range(len(self.frames))], np.int64)
+        if self.rate_hz is not None or not _increase(color_us):
+            indices = range(len(self.frames))
+            stamps_ns = np.array([stamp_of_index(k, self.rate_hz) for k in indices], np.int64)
             return stamps_ns, stamps_ns
         color_ns, depth_ns = (us.astype(np.int64) * 1000 for us in (color_us, depth_us))
         if _increase(depth_us) and np.abs(depth_ns - color_ns).max() <= MAX_PAIR_GAP_NS:

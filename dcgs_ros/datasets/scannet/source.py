@@ -7,8 +7,8 @@ Frames are those of the depth camera: colour is resampled to depth's pixels.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,19 +18,18 @@ from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
-from ...io.images.decoding import read_depth_file
 from ...io.trajectory import read_tum
 from ..camera_presets import PRESETS
-from ..images.association import StampPair
 from ..images.color_resampling import ColorResampling
 from ..images.indexed_frames import pair_by_index
-from ..images.sequence import ImageSequence, color_size
+from ..images.sequence import ImageSequence, color_size, depth_size
+from ..options import AS_STORED, SourceOptions
 from ..parsing.pose_matrices import read_matrix, read_pose, rigid_trajectory
 from ..source import BadFrame, ImuSample, Source, SourceError, sequence_name
 from .calibration import make_depth_camera, make_resampling
 from .sens import SensFile, open_binary, read_sens
 
-LAYOUT = 'a .sens, or color/N.jpg, depth/N.png, pose/N.txt and intrinsic/*.txt (ScanNet)'
+LAYOUT = 'a .sens, or color/N.jpg (or .png), depth/N.png, pose/N.txt and intrinsic/*.txt (ScanNet)'
 
 _PRESET = PRESETS['scannet']
 
@@ -43,7 +42,10 @@ def is_scannet(path: Path) -> bool:
 
 
 def open_scannet(
-    path: Path | str, camera: str | None = None, groundtruth: Path | str | None = None
+    path: Path | str,
+    camera: str | None = None,
+    groundtruth: Path | str | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> Source:
     """Open a .sens file, or an exported folder.
 
@@ -52,10 +54,10 @@ def open_scannet(
     the file.
     """
     path = Path(path)
-    truth = None if groundtruth is None else read_tum(groundtruth)
-    if path.is_dir():
-        return _open_folder(path, camera, truth)
-    return _open_sens(path, camera, truth)
+    notes: list[str] = []
+    truth = None if groundtruth is None else read_tum(groundtruth, notes)
+    open_ = _open_folder if path.is_dir() else _open_sens
+    return open_(path, camera, truth, options, notes)
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,12 @@ class SensSource:
     sensor: SensorNoise
     groundtruth: Trajectory | None
     register: ColorResampling
+    notes: Sequence[str] = ()
+
+    @property
+    def depth_per_metre(self) -> float:
+        """Value of a depth pixel at one metre."""
+        return self.file.depth_per_metre
 
     def __len__(self) -> int:
         """Return the number of complete frames, plus one if some are lost."""
@@ -96,35 +104,63 @@ class SensSource:
         return self.file.imu()
 
 
-def _open_sens(path: Path, camera: str | None, truth: Trajectory | None) -> SensSource:
-    file = read_sens(path)
+def _open_sens(
+    path: Path,
+    camera: str | None,
+    truth: Trajectory | None,
+    options: SourceOptions,
+    notes: list[str],
+) -> SensSource:
+    file = replace(read_sens(path), rate_hz=options.rate_hz)
+    if options.depth_per_metre is not None:
+        file = replace(file, depth_per_metre=options.depth_per_metre)
     K_color, T_rig_color, K_depth, T_rig_depth = file.calibration
     depth = make_depth_camera(path, camera, K_depth, file.depth_size)
     register = make_resampling(path, K_color, file.color_size, depth, T_rig_color, T_rig_depth)
     if truth is None:
         truth = rigid_trajectory(file.stamps_ns()[0], file.frames['T_world_cam'])
-    return SensSource(path.stem, file, depth, _PRESET.sensor, truth, register)
+    return SensSource(path.stem, file, depth, _PRESET.sensor, truth, register, notes)
 
 
 def _exported(path: Path) -> Path | None:
     """Return the folder with color/ and depth/: the path itself, its frames/, or None."""
     for folder in (path, path / 'frames'):
-        if all((folder / name).is_dir() for name in ('color', 'depth', 'intrinsic')):
+        kinds = all((folder / name).is_dir() for name in ('color', 'depth'))
+        if kinds and (_intrinsic(folder).is_dir() or _calibration(folder, 'color').is_file()):
             return folder
     return None
 
 
-def _open_folder(path: Path, camera: str | None, truth: Trajectory | None) -> ImageSequence:
+def _intrinsic(folder: Path) -> Path:
+    return folder / 'intrinsic'
+
+
+def _calibration(folder: Path, kind: str) -> Path:
+    """Return the file of intrinsics of colour or depth; that of the export tool by default."""
+    places = [_intrinsic(folder) / f'intrinsic_{kind}.txt', folder / f'intrinsics_{kind}.txt']
+    return next((place for place in places if place.is_file()), places[0])
+
+
+def _open_folder(
+    path: Path,
+    camera: str | None,
+    truth: Trajectory | None,
+    options: SourceOptions,
+    notes: list[str],
+) -> ImageSequence:
     folder = _exported(path)
     if folder is None:
         raise SourceError(f'{path}: neither it nor its frames/ has color/, depth/ and intrinsic/')
-    pairs = pair_by_index(folder, r'color/([0-9]{1,9})\.jpg', r'depth/([0-9]{1,9})\.png')
-    intrinsic = folder / 'intrinsic'
-    K_depth = np.eye(4) if camera else read_matrix(intrinsic / 'intrinsic_depth.txt')
-    depth = make_depth_camera(intrinsic, camera, K_depth, _depth_size(folder, pairs))
+    color = r'color/([0-9]{1,9})\.(?:jpg|png)'
+    pairs = pair_by_index(folder, color, r'depth/([0-9]{1,9})\.png', options.rate_hz)
+    intrinsic = _intrinsic(folder)
+    K_depth = np.eye(3) if camera else read_matrix(_calibration(folder, 'depth'), side=3)
+    depth = make_depth_camera(
+        intrinsic, camera, K_depth, depth_size(folder, [pair.depth.path for pair in pairs])
+    )
     register = make_resampling(
         intrinsic,
-        read_matrix(intrinsic / 'intrinsic_color.txt'),
+        read_matrix(_calibration(folder, 'color'), side=3),
         color_size(folder, pairs),
         depth,
         *(
@@ -136,18 +172,5 @@ def _open_folder(path: Path, camera: str | None, truth: Trajectory | None) -> Im
         files = [folder / 'pose' / f'{Path(pair.color.path).stem}.txt' for pair in pairs]
         stamps_ns = np.array([pair.color.stamp_ns for pair in pairs], np.int64)
         truth = rigid_trajectory(stamps_ns, np.array([read_pose(file) for file in files]))
-    name, unit = sequence_name(path), _PRESET.depth_per_metre
-    return ImageSequence(name, folder, pairs, depth, _PRESET.sensor, unit, truth, register)
-
-
-def _depth_size(folder: Path, pairs: list[StampPair]) -> tuple[int, int]:
-    """Return width and height of the first readable depth image; raises `SourceError`."""
-    reason: object = 'there are no images'
-    for pair in pairs:
-        try:
-            height, width = read_depth_file(folder, pair.depth.path).shape
-        except FrameError as error:
-            reason = error
-        else:
-            return width, height
-    raise SourceError(f'{folder}: no readable depth image tells its size: {reason}')
+    name, unit = sequence_name(path), options.depth_per_metre or _PRESET.depth_per_metre
+    return ImageSequence(name, folder, pairs, depth, _PRESET.sensor, unit, truth, register, notes)

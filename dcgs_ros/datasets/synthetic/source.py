@@ -65,6 +65,8 @@ class SyntheticSource:
         # Camera to base, on wheels, but for vibration; None where a hand holds the camera.
         self.T_base_cam: NDArray[np.float64] | None = self._path.T_base_cam
         # True time of a depth image minus its stamp, which a tracker may estimate.
+        self.depth_per_metre: float | None = None
+        self.notes: tuple[str, ...] = ()
         self.colour_depth_offset_ms: float = self._depth_camera.offset_ms
 
     @classmethod

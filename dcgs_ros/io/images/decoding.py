@@ -32,6 +32,12 @@ def read_depth_file(folder: Path, path: str) -> NDArray[np.uint16]:
     return decode_depth(_read(folder, path), path)
 
 
+def read_grey_file(folder: Path, path: str) -> NDArray[np.uint8]:
+    """Read an image of one channel (H, W), of 8 bits; raises `FrameError` naming it."""
+    grey: NDArray[np.uint8] = _decode(_read(folder, path), path, cv2.IMREAD_GRAYSCALE)
+    return grey
+
+
 def decode_color(data: bytes, name: str) -> NDArray[np.uint8]:
     """Decode a PNG's or JPEG's bytes to colour (H, W, 3) RGB; raises `FrameError` with `name`."""
     color = _decode(data, name, _COLOR)

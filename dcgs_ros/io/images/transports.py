@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import ros_images
-from ..ros_images import MM_PER_M, MessageError, UnknownEncodingError, measured
+from ..ros_images import MessageError, UnknownEncodingError, depth_unit, measured
 from ..zstd import ZSTD_MAGIC, unzstd
 from .decoding import decode_color, decode_depth, encoded_size, is_png_or_jpeg
 from .encodings import COLOR_ENCODINGS
@@ -87,12 +87,12 @@ def read_color(message: Any) -> NDArray[np.uint8]:
     return mosaic.convert(np.ascontiguousarray(color[..., 0])) if is_grey else color
 
 
-def read_depth(message: Any, per_metre: float = MM_PER_M) -> NDArray[np.float32]:
+def read_depth(message: Any, per_metre: float | None = None) -> NDArray[np.float32]:
     """Return depth (H, W) in metres, 0 = none; raises `FrameError` or `MessageError`.
 
-    `per_metre` is the value of 16 bits at one metre. Compressed depth is a 16-bit PNG or RVL, with
-    or without compressed_depth_image_transport's header; with one, 32FC1 is stored as inverse
-    depth: a value q > 0 means A / (q - B) metres.
+    `per_metre` is the value of a pixel at one metre, by default `depth_unit`. Compressed depth is
+    a 16-bit PNG or RVL, with or without compressed_depth_image_transport's header; with one, 32FC1
+    is stored as inverse depth: a value q > 0 means A / (q - B).
     """
     if not is_compressed(message):
         return ros_images.read_depth(message, per_metre)
@@ -104,13 +104,15 @@ def read_depth(message: Any, per_metre: float = MM_PER_M) -> NDArray[np.float32]
     else:
         _check_codec('depth', message, data)
         raw = decode_depth(data, _name('depth', message))
-    if not (header and encoding_of(message) == '32FC1'):
-        return raw.astype(np.float32) / np.float32(per_metre)
+    encoding = encoding_of(message)
+    unit = np.float32(per_metre or depth_unit(encoding))
+    if not (header and encoding == '32FC1'):
+        return raw.astype(np.float32) / unit
     _, a, b = _DEPTH_HEADER.unpack(header)
     with np.errstate(all='ignore'):  # A and B may be damaged
         depth_m = np.float32(a) / (raw.astype(np.float32) - np.float32(b))
     depth_m[raw == 0] = 0.0
-    return measured(depth_m)
+    return measured(depth_m / unit)
 
 
 def _name(what: str, message: Any) -> str:

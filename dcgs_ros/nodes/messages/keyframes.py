@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from ...core import se3
+from ...core.camera import PinholeCamera
 from ...core.frame import RgbdFrame
 from ...core.keyframe import Keyframe, MapUpdate, PosedFrame
 from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
@@ -86,6 +87,8 @@ def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
         se3.inverse(T_world_cam) @ matrix(parts['depth_pose'].pose),
     )
     camera = read_camera(parts['camera_info'])
+    if not isinstance(camera, PinholeCamera):
+        raise MessageError("a keyframe's camera_info has a lens that its images need not have")
     if not len(ids):
         return KeyframePacket(0, camera, posed, color.header.frame_id)
     keyframe = Keyframe(

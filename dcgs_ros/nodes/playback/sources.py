@@ -16,6 +16,7 @@ from ...datasets.bag.recovery.losses import DamagedError
 from ...datasets.bag.storage.files import is_bag
 from ...datasets.bag.topics import CameraTopics, split_topics
 from ...datasets.open import open_source
+from ...datasets.options import AS_STORED, split_options
 from ...datasets.source import BadFrame, Source, SourceError
 from ..messages.images import header, write_camera, write_color, write_exact_depth
 
@@ -106,8 +107,9 @@ def open_playback(
     Raises a `DcgsError` where it cannot be played.
     """
     if camera is None and not source.startswith('synthetic:'):  # whose `?` begins no topics
-        path, *topics = split_topics(source)
-        recorded = find_camera(path, None, *topics) if is_bag(path) else None
-        if recorded is not None and recorded.as_published:
+        address, options = split_options(source)
+        path, color, depth = split_topics(address)
+        recorded = find_camera(path, None, color, depth) if is_bag(path) else None
+        if recorded is not None and recorded.as_published and options == AS_STORED:
             return BagPlayback(path, recorded.topics, camera_frame, warn)
     return FramePlayback(open_source(source, camera), camera_frame, warn)

@@ -7,24 +7,20 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TypeAlias
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from ...core.camera import PinholeCamera
 from ...core.config.nodes import TrackerNodeSettings
 from ...core.errors import DcgsError
-from ...core.frame import RgbdFrame
 from ...io.images.rvl import decode_rvl
-from ...io.images.transports import COLOR_TRANSPORTS, DEPTH_TRANSPORTS, read_color, read_depth
-from ...io.ros_images import MessageError, read_camera, stamp_ns
+from ...io.images.transports import COLOR_TRANSPORTS, DEPTH_TRANSPORTS
+from ...io.ros_images import stamp_ns
 from ..transport import sensor_qos
 from ..work_queue import WorkQueue
+from .frame_reader import FrameReader, Lookup, SomeImage
 from .health import Streams
 from .pairing import ImagePair, ImagePairing
-
-SomeImage: TypeAlias = Image | CompressedImage
 
 _CAMERA = '/camera/camera'
 _ONE_PIXEL = bytes([1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0x10])  # in RVL
@@ -35,10 +31,13 @@ class CameraSubscriber:
     """Puts pairs of images into a queue, without looking at their pixels."""
 
     def __init__(
-        self, node: Node, settings: TrackerNodeSettings, warn: Callable[[str], None]
+        self,
+        node: Node,
+        settings: TrackerNodeSettings,
+        warn: Callable[[str], None],
+        lookup: Lookup,
     ) -> None:
-        """Subscribe."""
-        self.camera: PinholeCamera | None = None
+        """Subscribe; `lookup` asks TF for T_parent_child."""
         self.queue: WorkQueue[ImagePair[SomeImage, SomeImage]] = WorkQueue(_WAITING_PAIRS)
         self.pairing: ImagePairing[SomeImage, SomeImage] = ImagePairing(
             int(1e9 * settings.sync_slop_s)
@@ -50,26 +49,31 @@ class CameraSubscriber:
         self._settings = settings
         qos = sensor_qos(settings.reliability)
         color, depth = f'{_CAMERA}/color', f'{_CAMERA}/aligned_depth_to_color'
+        topics = []
         for kind, stream, suffix in (
             ('color', color, COLOR_TRANSPORTS[settings.color_transport]),
             ('depth', depth, DEPTH_TRANSPORTS[settings.depth_transport]),
         ):
             # As image_transport does it, a raw topic that is remapped takes its transports along.
-            topic = node.resolve_topic_name(f'{stream}/image_raw') + suffix
+            topics.append(node.resolve_topic_name(f'{stream}/image_raw') + suffix)
             type_ = CompressedImage if suffix else Image
-            node.create_subscription(type_, topic, partial(self._on_image, kind), qos)
-        node.create_subscription(CameraInfo, f'{color}/camera_info', self._on_camera, qos)
+            node.create_subscription(type_, topics[-1], partial(self._on_image, kind), qos)
+        for kind, stream in (('color', color), ('depth', depth)):
+            callback = partial(self._on_info, kind)
+            node.create_subscription(CameraInfo, f'{stream}/camera_info', callback, qos)
+        tell = node.get_logger().info
+        self.reader = FrameReader(settings.depth_registration, topics, lookup, tell)
 
     def warm_up(self) -> None:
         """Compile what decodes depth, before the first image has to wait for it."""
         if self._settings.depth_transport == 'compressedDepth':
             decode_rvl(_ONE_PIXEL, 'depth')
 
-    def _on_camera(self, info: CameraInfo) -> None:
+    def _on_info(self, kind: str, info: CameraInfo) -> None:
         try:
-            self.camera = read_camera(info)
+            self.reader.on_info(kind, info)
         except DcgsError as error:
-            self._warn(f'camera_info refused: {error}')
+            self._warn(f'camera_info of {kind} refused: {error}')
 
     def _on_image(self, kind: str, image: SomeImage) -> None:
         self.counts[kind] += 1
@@ -87,7 +91,7 @@ class CameraSubscriber:
         before, self._reported = self._reported, self._totals()
         new = {key: count - before[key] for key, count in self._reported.items()}
         silent_s = time.monotonic() - self._received_s
-        return Streams(**new, has_camera=self.camera is not None, silent_s=silent_s)
+        return Streams(**new, has_camera=self.reader.has_camera, silent_s=silent_s)
 
     def figures(self) -> dict[str, object]:
         """Return the counts since the start, for diagnostics."""
@@ -98,15 +102,3 @@ class CameraSubscriber:
             'unpaired_depth': pairing.unpaired_depth,
             'disorder': pairing.disorder,
         }
-
-
-def read_frame(pair: ImagePair[SomeImage, SomeImage]) -> RgbdFrame:
-    """Return the frame of two messages; raise a `DcgsError` where they cannot form one."""
-    color, depth = pair.color, pair.depth
-    frames = color.header.frame_id, depth.header.frame_id
-    if all(frames) and frames[0] != frames[1]:
-        raise MessageError(
-            f'colour is in frame {frames[0][:60]!r}, depth in {frames[1][:60]!r}: it is not '
-            'registered'
-        )
-    return RgbdFrame(pair.color_ns, pair.depth_ns, read_color(color), read_depth(depth))

@@ -45,6 +45,10 @@ class TrackerOutputs:
         self._path_step, self._path_count, self._path_due_s = 1, 0, 0.0
         self._last: TrackResult | None = None
 
+    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+        """Return TF's T_parent_child (4, 4), metres; None where it does not know it."""
+        return self._transforms.lookup(parent, child)
+
     def camera_to_base(self, camera_frame: str) -> CameraToBase:
         """Return where the camera is on the base, as it was at the first call."""
         if self._to_base is None:

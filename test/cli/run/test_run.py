@@ -127,7 +127,7 @@ def test_the_report_holds_the_contract(room: Run) -> None:
             assert set(report[key]) == inner
     assert set(report) - set(CONTRACT) == {
         'skipped', 'dropped', 'interrupted', 'degenerate', 'address', 'camera',
-        'frames_s',
+        'frames_s', 'depth_per_metre', 'depth_in_range', 'warnings',
     }  # fmt: skip
     assert (report['source'], report['ablation']) == (ROOM, 'full')
     assert (report['address'], report['camera']) == (ROOM, None)
@@ -276,6 +276,8 @@ class MadeUp:
     name = 'made up'
     camera = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
     sensor = SensorNoise()
+    depth_per_metre = None
+    notes = ()
 
     def __init__(self, count: int, at: dict[int, Action]) -> None:
         self._count, self._at = count, at
@@ -352,6 +354,56 @@ def test_a_run_that_tracks_nothing_fails_with_everything_written(
     report = done.report()
     assert (report['tracked'], report['lost'], report['ate']) == (first, 6 - first, None)
     assert 'ATE           not computed' in done.out
+
+
+@pytest.mark.parametrize('stamp_ns', [0, 10**9])
+def test_equal_stamps_are_one_frame_and_a_failed_run(
+    made_up: Callable[..., Run], monkeypatch: pytest.MonkeyPatch, stamp_ns: int
+) -> None:
+    """All but the first frame are refused: that is said, and nothing was tracked."""
+    read = MadeUp.__iter__
+    monkeypatch.setattr(
+        MadeUp, '__iter__', lambda self: (restamped(f, stamp_ns) for f in read(self))
+    )
+    done = made_up(6, {})
+    assert done.status == 2
+    line = done.err.splitlines()[-1]
+    assert line.startswith('dcgs: nothing was tracked: the camera is lost in 0 of 6 frames')
+    assert '5 are skipped; the first: frame 2: stamp lies 0.000000 s before the last frame' in line
+    assert done.files() == TRACKS
+
+
+def restamped(frame: RgbdFrame | BadFrame, stamp_ns: int) -> RgbdFrame | BadFrame:
+    assert isinstance(frame, RgbdFrame)
+    return replace(frame, stamp_ns=stamp_ns, depth_stamp_ns=stamp_ns)
+
+
+def test_one_frame_an_hour_ahead_does_not_end_tracking(
+    made_up: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = MadeUp.__iter__
+
+    def ahead(self: MadeUp) -> Iterator[RgbdFrame | BadFrame]:
+        for k, frame in enumerate(read(self)):
+            assert isinstance(frame, RgbdFrame)
+            yield restamped(frame, frame.stamp_ns + 3600 * 10**9) if k == 10 else frame
+
+    monkeypatch.setattr(MadeUp, '__iter__', ahead)
+    done = made_up(40, {})
+    report = done.report()
+    assert (report['frames'], report['skipped']) == (40, 0)
+    assert report['tracked'] >= 38
+
+
+def test_depth_in_another_unit_is_named_where_nothing_is_tracked(
+    made_up: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MadeUp, 'depth_per_metre', 1000.0)
+    done = made_up(6, dict.fromkeys(range(6), lambda: 30 * corner(MadeUp.camera)))
+    assert done.status == 2
+    line = done.err.splitlines()[-1]
+    assert "0% of the depth lies in the sensor's range of 0.3 to 5 m" in line
+    assert 'at 1000 per metre' in line and '--depth-per-metre' in line
 
 
 def test_wall_time_is_all_that_the_user_waited_for(

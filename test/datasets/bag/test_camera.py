@@ -187,7 +187,7 @@ def test_unaligned_depth_without_what_registers_it_is_refused(bag: Bag) -> None:
     with pytest.raises(SourceError, match=flag):
         BagSource(bag([*images, apart], 'apart'))
     no_info = without([*images, extrinsics_entry(T_COLORCAM_DEPTHCAM)], DEPTH_INFO)
-    with pytest.raises(SourceError, match='no CameraInfo to do it is recorded'):
+    with pytest.raises(SourceError, match='no CameraInfo to do it is known'):
         BagSource(bag(no_info, 'no_info'))
 
 

@@ -112,7 +112,7 @@ def test_inverse_depth_is_right_to_its_quantum() -> None:
     exact_m[0] = 0.0
     data = quantised(exact_m)
     _, a, b = struct.unpack('<Iff', data[:12])
-    depth_m = bag_images.depth_of(message('32FC1; compressedDepth png', data), CAMERA, MM)
+    depth_m = bag_images.depth_of(message('32FC1; compressedDepth png', data), CAMERA, 1.0)
     assert depth_m.dtype == np.float32 and not depth_m[0].any()
     inverse = a / depth_m[1:] + b  # what was rounded down, from the same law
     error = (a / exact_m[1:] + b) - inverse
@@ -124,7 +124,7 @@ def test_inverse_depth_is_right_to_its_quantum() -> None:
 @pytest.mark.parametrize('b', [0.0, 500.0, np.nan, -np.inf])
 def test_damaged_parameters_of_inverse_depth_leave_only_distances(a: float, b: float) -> None:
     data = struct.pack('<Iff', 0, a, b) + PNG16
-    depth_m = bag_images.depth_of(message('32FC1; compressedDepth png', data), CAMERA, MM)
+    depth_m = bag_images.depth_of(message('32FC1; compressedDepth png', data), CAMERA, 1.0)
     assert np.isfinite(depth_m).all() and (depth_m >= 0).all()
 
 

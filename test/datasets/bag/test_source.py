@@ -150,7 +150,7 @@ def test_a_camera_that_is_none_is_refused(bag: Bag) -> None:
     nan = np.array([np.nan]).tobytes()
     at = broken.cdr.index(np.array([CAMERA.fx]).tobytes())
     broken = broken._replace(cdr=broken.cdr[:at] + nan + broken.cdr[at + 8 :])
-    with pytest.raises(SourceError, match='bag: intrinsics'):
+    with pytest.raises(SourceError, match=r'camera_info can be used: intrinsics.*give --camera'):
         BagSource(bag([*entries, broken]))
 
 
@@ -167,10 +167,6 @@ def test_stamps_that_do_not_fit_are_told(bag: Bag) -> None:
     apart.append(depth_entry(START_NS + 5_000_000_000, depth_of(0)))
     with pytest.raises(SourceError, match=r'none of 2 colour.*20 ms: colour 1700000000\.0+ to'):
         BagSource(bag(apart, 'apart'))
-    again = image_entry(COLOR, START_NS - 2_000_000_000, 'rgb8', color_of(0))
-    again = again._replace(recorded_ns=START_NS + 9_000_000_000)
-    with pytest.raises(SourceError, match=r'message 3: its stamp 1699999998\.0+ is before'):
-        BagSource(bag([*recording(2), again], 'again'))
 
 
 @pytest.mark.parametrize('plugin', [MCAP, SQLITE])

@@ -14,6 +14,7 @@ from scannets import (  # type: ignore[import-not-found]
     INTERVAL_US,
     JPEG,
     K_COLOR,
+    K_DEPTH,
     START_US,
     frames_of,
     sens_bytes,
@@ -28,12 +29,14 @@ from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.images.color_resampling import color_resampling
 from dcgs_ros.datasets.images.depth_registration import register_depth
 from dcgs_ros.datasets.images.sequence import ImageSequence
+from dcgs_ros.datasets.options import SourceOptions
 from dcgs_ros.datasets.scannet.source import LAYOUT, is_scannet, open_scannet
 from dcgs_ros.datasets.source import BadFrame, Source, SourceError
 
 FLOAT32_TURN = 1e-6  # of a pose's numbers
 TEXT_TURN = 1e-6  # with six decimals
 GREY_STEP = 1.0
+JPEG_LOSS = 30.0  # of noise, on average
 
 
 def frames_in(source: Source) -> list[RgbdFrame]:
@@ -87,6 +90,40 @@ def test_an_exported_folder_gives_the_same(tmp_path: Path, below: str) -> None:
     assert truth is not None
     poses = np.array([frame.pose for frame in written])
     np.testing.assert_allclose(truth.T_world_cam, poses, atol=TEXT_TURN)
+
+
+@pytest.mark.parametrize('beside', [False, True])
+def test_color_may_be_png_and_intrinsics_three_by_three(tmp_path: Path, beside: bool) -> None:
+    """Also in the places where other tools put them."""
+    written = frames_of(3)
+    folder = write_folder(tmp_path / 'scene', written)
+    expected = frames_in(open_scannet(folder))
+    for k, frame in enumerate(written):
+        cv2.imwrite(str(folder / f'color/{k}.png'), frame.color[..., ::-1])
+        (folder / f'color/{k}.jpg').unlink()
+    for kind, K in (('color', K_COLOR), ('depth', K_DEPTH)):
+        path = folder / f'intrinsic/intrinsic_{kind}.txt'
+        path.unlink()
+        path = folder / f'intrinsics_{kind}.txt' if beside else path
+        np.savetxt(path, K[:3, :3], fmt='%f')
+    if beside:
+        (folder / 'intrinsic').rmdir()
+    assert is_scannet(folder)
+    source = open_scannet(folder, options=SourceOptions(depth_per_metre=500))
+    for frame, was in zip(frames_in(source), expected, strict=True):
+        np.testing.assert_allclose(frame.depth_m, 2 * was.depth_m)
+        assert np.abs(frame.color.astype(int) - was.color).mean() < JPEG_LOSS
+
+
+def test_the_options_hold_for_a_sens_file_too(tmp_path: Path) -> None:
+    path = tmp_path / 'scene.sens'
+    path.write_bytes(sens_bytes(frames_of(3)))
+    options = SourceOptions(depth_per_metre=500, rate_hz=10)
+    source = open_scannet(path, options=options)
+    assert source.depth_per_metre == 500
+    for frame, was in zip(frames_in(source), frames_in(open_scannet(path)), strict=True):
+        np.testing.assert_allclose(frame.depth_m, 2 * was.depth_m)
+    assert [frame.stamp_ns for frame in frames_in(source)] == [0, 10**8, 2 * 10**8]
 
 
 def test_lost_poses_leave_the_frames(tmp_path: Path) -> None:

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.camera_presets import PRESETS
+from dcgs_ros.datasets.options import SourceOptions
 from dcgs_ros.datasets.source import BadFrame, Source, SourceError
+from dcgs_ros.datasets.tum.index import ASSOCIATIONS
 from dcgs_ros.datasets.tum.source import open_tum
 from dcgs_ros.io.trajectory import TrajectoryFileError
 
@@ -41,6 +43,27 @@ def test_frames_are_what_was_written(tum_folder: Writer) -> None:
         assert frame.depth_stamp_ns == frame.stamp_ns + 5_000_000
         assert np.all(frame.color == (10 * k, 100, 200))
         np.testing.assert_allclose(frame.depth_m, 1 + 0.1 * k, atol=FLOAT32_STEP)
+
+
+@pytest.mark.parametrize('size', [(32, 24), (128, 96)])
+def test_depth_of_another_size_is_scaled_to_colours(
+    tum_folder: Writer, size: tuple[int, int]
+) -> None:
+    folder = tum_folder(frames=4)
+    for k in range(4):
+        wrong = {1: (size[0] + 4, size[1]), 2: (size[0] // 2, size[1] // 2)}.get(k, size)
+        depth = np.full(wrong[::-1], 5000, np.uint16)
+        depth[:, wrong[0] // 2 :] = 10000
+        cv2.imwrite(str(folder / 'depth' / f'{k}.png'), depth)
+    source = open_tum(folder, camera=SMALL)
+    assert source.notes == (f'depth of {size[0]}x{size[1]} pixels is scaled to those of colour',)
+    first, *others, last = source
+    for frame in (first, last):
+        assert isinstance(frame, RgbdFrame)
+        assert (frame.depth_m[:, :32] == 1.0).all() and (frame.depth_m[:, 32:] == 2.0).all()
+    for bad in others:
+        assert isinstance(bad, BadFrame)
+        assert f"the camera's images are {size[0]}x{size[1]}" in bad.reason
 
 
 def test_reading_twice_gives_the_same(tum_folder: Writer) -> None:
@@ -71,6 +94,38 @@ def test_associations_are_preferred(tum_folder: Writer) -> None:
     (frame,) = good_frames(open_tum(folder, camera=SMALL))
     assert frame.depth_stamp_ns == 100_040_000_000
     np.testing.assert_allclose(frame.depth_m, 1.2, atol=FLOAT32_STEP)
+
+
+@pytest.mark.parametrize('name', ASSOCIATIONS)
+@pytest.mark.parametrize('encoding', ['utf-8', 'utf-8-sig'])
+def test_associations_may_have_other_names_commas_and_a_byte_order_mark(
+    tum_folder: Writer, name: str, encoding: str
+) -> None:
+    folder = tum_folder(frames=4)
+    rows = 'time,colour,time,depth\n100.030000,rgb/1.png,100.040000,depth/2.png\n'
+    (folder / name).write_text(rows, encoding=encoding)
+    (frame,) = good_frames(open_tum(folder, camera=SMALL))
+    assert (frame.stamp_ns, frame.depth_stamp_ns) == (100_030_000_000, 100_040_000_000)
+
+
+def test_depth_first_in_associations_is_turned(tum_folder: Writer) -> None:
+    folder = tum_folder(frames=4)
+    row = '100.040000 depth/2.png 100.030000 rgb/1.png\n'
+    for rows in (row, '100.0 depth/8.png 100.01 rgb/8.png\n' + row):  # the first is not there
+        (folder / 'associations.txt').write_text(rows)
+        source = open_tum(folder, camera=SMALL)
+        *_, frame = source
+        assert isinstance(frame, RgbdFrame)
+        assert (frame.stamp_ns, frame.depth_stamp_ns) == (100_030_000_000, 100_040_000_000)
+        assert 'lists depth before colour' in source.notes[0]
+
+
+def test_a_depth_image_may_serve_two_colours(tum_folder: Writer) -> None:
+    folder = tum_folder(frames=4)
+    rows = ['100.00 rgb/0.png 100.01 depth/0.png', '100.03 rgb/1.png 100.01 depth/0.png']
+    (folder / 'associations.txt').write_text('\n'.join(rows))
+    frames = good_frames(open_tum(folder, camera=SMALL))
+    assert [frame.depth_stamp_ns for frame in frames] == [100_010_000_000] * 2
 
 
 def test_associations_without_any_close_pair_are_refused(tum_folder: Writer) -> None:
@@ -115,11 +170,18 @@ def test_unknown_camera_is_asked_for(tum_folder: Writer, name: str) -> None:
         open_tum(tum_folder(name))
 
 
-def test_preset_brings_its_depth_unit(tum_folder: Writer) -> None:
-    source = open_tum(tum_folder(size=(640, 480), frames=1), camera='d435i')
+@pytest.mark.parametrize('camera', ['d435i', 'fr1', '615,615,319.5,239.5'])
+def test_the_depth_unit_is_the_layouts_however_the_camera_is_named(
+    tum_folder: Writer, camera: str
+) -> None:
+    folder = tum_folder(size=(640, 480), frames=1)
+    source = open_tum(folder, camera)
     (frame,) = good_frames(source)
-    np.testing.assert_allclose(frame.depth_m, 5.0, atol=FLOAT32_STEP)  # 5000 at 1000 per metre
-    assert source.sensor == PRESETS['d435i'].sensor
+    np.testing.assert_allclose(frame.depth_m, 1.0, atol=FLOAT32_STEP)
+    if camera in PRESETS:
+        assert source.sensor == PRESETS[camera].sensor
+    (frame,) = good_frames(open_tum(folder, camera, options=SourceOptions(depth_per_metre=1000)))
+    np.testing.assert_allclose(frame.depth_m, 5.0, atol=FLOAT32_STEP)
 
 
 def _truncate(path: Path) -> None:
@@ -172,8 +234,6 @@ def test_one_bad_image_is_one_bad_frame(tum_folder: Writer, fault: str) -> None:
 
 
 BAD_LINES = {
-    'unsorted': ('99.5 rgb/9.png', 'comes after the later 100.090000000'),
-    'duplicate': ('100.09 rgb/9.png', 'stamp 100.090000000 a second time'),
     'no number': ('abc rgb/9.png', "'abc' is no time"),
     'not finite': ('nan rgb/9.png', 'no usable time'),
     'too large': ('1e30 rgb/9.png', 'no usable time'),
@@ -233,9 +293,24 @@ def test_ground_truth_is_optional(tum_folder: Writer) -> None:
     np.testing.assert_array_equal(named.stamps_ns, truth.stamps_ns)
 
 
-def test_nan_in_ground_truth_is_named(tum_folder: Writer) -> None:
+def test_nan_in_ground_truth_is_left_out_and_named(tum_folder: Writer) -> None:
     folder = tum_folder()
     with (folder / 'groundtruth.txt').open('a') as file:
         file.write('101.0 0 nan 0 0 0 0 1\n')
-    with pytest.raises(TrajectoryFileError, match=r'groundtruth\.txt:5: pose is not finite'):
+    source = open_tum(folder)
+    assert source.groundtruth is not None
+    assert len(source.groundtruth) == 4
+    (note,) = source.notes
+    assert re.search(r'left out 1 of 5 poses.*groundtruth\.txt:5: pose is not finite', note)
+    (folder / 'groundtruth.txt').write_text('101.0 0 nan 0 0 0 0 1\n')
+    with pytest.raises(TrajectoryFileError, match=r'groundtruth\.txt:1: pose is not finite'):
         open_tum(folder)
+
+
+def test_a_csv_is_ground_truth_too(tum_folder: Writer) -> None:
+    folder = tum_folder(frames=4)
+    (folder / 'groundtruth.txt').unlink()
+    (folder / 'groundtruth.csv').write_text('100.0,1,2,3,0,0,0,1\n')
+    truth = open_tum(folder).groundtruth
+    assert truth is not None
+    np.testing.assert_array_equal(truth.T_world_cam[0, :3, 3], (1, 2, 3))

@@ -19,13 +19,22 @@ from packing import pack, rvl, zstd  # type: ignore[import-not-found]
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage, Image
 
+from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.nodes import TrackerNodeSettings
+from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.io.images import rvl as rvl_module
 from dcgs_ros.io.images.encodings import COLOR_ENCODINGS
 from dcgs_ros.io.images.transports import COLOR_TRANSPORTS, DEPTH_TRANSPORTS
 from dcgs_ros.io.ros_images import UnknownEncodingError
-from dcgs_ros.nodes.messages.images import array_of, header, write_color, write_depth_mm
-from dcgs_ros.nodes.tracking.camera_subscriber import CameraSubscriber, read_frame
+from dcgs_ros.nodes.messages.images import (
+    array_of,
+    header,
+    write_camera,
+    write_color,
+    write_depth_mm,
+)
+from dcgs_ros.nodes.tracking.camera_subscriber import CameraSubscriber
+from dcgs_ros.nodes.tracking.frame_reader import FrameReader
 from dcgs_ros.nodes.tracking.pairing import ImagePair
 
 WIDTH, HEIGHT = 64, 48
@@ -75,7 +84,7 @@ def received(settings: TrackerNodeSettings, *arguments: str) -> ImagePair[Any, A
     ros = ['--ros-args', *(part for text in arguments for part in ('-r', text))]
     node, camera = Node('images', cli_args=ros), Node('camera')
     try:
-        subscriber = CameraSubscriber(node, settings, lambda text: None)
+        subscriber = CameraSubscriber(node, settings, lambda text: None, lambda *frames: None)
         transports = {'color': settings.color_transport, 'depth': settings.depth_transport}
         suffixes = COLOR_TRANSPORTS | DEPTH_TRANSPORTS
         outputs = {
@@ -97,6 +106,13 @@ def received(settings: TrackerNodeSettings, *arguments: str) -> ImagePair[Any, A
     finally:
         camera.destroy_node()
         node.destroy_node()
+
+
+def read_frame(pair: ImagePair[Any, Any]) -> RgbdFrame:
+    reader = FrameReader('auto', ('color', 'depth'), lambda *frames: None, lambda text: None)
+    camera = PinholeCamera(WIDTH, HEIGHT, 50.0, 50.0, 31.5, 23.5)
+    reader.on_info('color', write_camera(camera, header(STAMP_NS, 'optical')))
+    return reader.read(pair)[0]
 
 
 def check(pair: ImagePair[Any, Any]) -> None:
@@ -158,6 +174,6 @@ def test_rvl_is_compiled_before_the_first_image(
     node = Node('images')
     for transport in ('raw', 'compressedDepth'):
         settings = TrackerNodeSettings(depth_transport=transport)  # type: ignore[arg-type]
-        CameraSubscriber(node, settings, lambda text: None).warm_up()
+        CameraSubscriber(node, settings, lambda text: None, lambda *frames: None).warm_up()
     node.destroy_node()
     assert ran == [1]

@@ -15,7 +15,7 @@ from itertools import chain, count
 from pathlib import Path
 
 from ....core.frame import RgbdFrame
-from ...images.association import MAX_PAIR_GAP_NS
+from ...images.association import LARGEST_PAIR_GAP_NS
 from ...source import Source
 from ..camera import SENSOR_KEY
 from ..messages import RawMessage
@@ -67,7 +67,7 @@ def _in_order(
     for frame in frames:
         for message in encode(frame):
             heappush(waiting, (message.stamp_ns, next(tie), message))
-        while waiting[0][0] < frame.stamp_ns - MAX_PAIR_GAP_NS:
+        while waiting[0][0] < frame.stamp_ns - LARGEST_PAIR_GAP_NS:
             yield heappop(waiting)[-1]
     while waiting:
         yield heappop(waiting)[-1]

@@ -164,6 +164,16 @@ def test_without_raw_images_the_compressed_ones_of_a_zed_are_read(bag: Bag) -> N
     check_depth(path)
 
 
+def test_an_oak_beside_a_zed_is_another_camera(bag: Bag) -> None:
+    oak = [color('/oak/rgb/image_raw'), depth('/oak/stereo/image_raw')]
+    path = bag([*oak, *zed()])
+    with pytest.raises(SourceError, match=r'among .*/oak/rgb.*/zed/zed_node/rgb'):
+        camera_topics(path)
+    assert camera_topics(path, color='/oak/rgb/image_raw').depth == '/oak/stereo/image_raw'
+    zeds = camera_topics(path, depth=f'{ZED}/depth/depth_registered')
+    assert zeds.color == f'{ZED}/rgb/image_rect_color'
+
+
 def test_of_a_named_camera_depth_and_intrinsics_follow(bag: Bag) -> None:
     entries = [
         entry
@@ -224,7 +234,8 @@ def test_a_kinect2_is_read_in_the_resolution_that_was_recorded(bag: Bag, size: s
 def test_transports_may_stand_anywhere_in_the_name(
     bag: Bag, topics: list[str], infos: list[str]
 ) -> None:
-    path = bag([jpeg(topics[0]), depth_png(topics[1]), *map(info, infos)])
+    of_another = [info('/camera/camera_info', fx=40.0), info('/cam/info', fx=40.0)]
+    path = bag([jpeg(topics[0]), depth_png(topics[1]), *map(info, infos), *of_another])
     assert chosen(path) == (*topics, *infos)
     check_depth(path)
 

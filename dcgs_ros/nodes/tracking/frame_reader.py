@@ -24,7 +24,7 @@ from ...datasets.images.registration import (
     find_registration,
 )
 from ...io.images.transports import read_color, read_depth
-from ...io.ros_images import MessageError, read_camera, stamp_ns
+from ...io.ros_images import MessageError, is_rectified, read_camera, stamp_ns
 from .pairing import ImagePair
 
 SomeImage: TypeAlias = Image | CompressedImage
@@ -62,10 +62,12 @@ class FrameReader:
 
     def on_info(self, kind: str, info: CameraInfo) -> None:
         """Take the intrinsics of 'color' or 'depth'; raises a `DcgsError` for unusable ones."""
-        fields = info.width, info.height, info.distortion_model, info.k.tobytes(), bytes(info.d)
+        matrices = info.k.tobytes(), bytes(info.d), info.p.tobytes()
+        fields = info.width, info.height, info.distortion_model, *matrices
         if self._repeated.get(kind) == fields:
             return
-        camera = read_camera(info)
+        topic = self._topics[0 if kind == 'color' else 1]
+        camera = read_camera(info, is_rectified(topic))
         self._repeated[kind] = fields
         with self._lock:
             self._cameras[kind].add(stamp_ns(info.header.stamp), camera)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.camera import CameraError, PinholeCamera
+from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError, FrameError
 from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
@@ -32,7 +32,6 @@ from ...io.ros_images import (
     UnknownEncodingError,
     depth_unit,
     is_rectified,
-    read_camera,
 )
 from ..camera_presets import PRESETS
 from ..images.camera_timeline import check_same
@@ -46,6 +45,7 @@ from ..images.resampling import scaled
 from ..options import AS_STORED, RegistrationChoice, SourceOptions
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
+from .camera_info import first_camera
 from .extrinsics import find_T_colorcam_depthcam
 from .images import color_of, depth_of
 from .messages import decode
@@ -161,24 +161,6 @@ def _color_camera(
     raise SourceError(
         f'{what}; give --camera {"|".join(PRESETS)} or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]'
     )
-
-
-def first_camera(
-    path: Path | str, topic: str | None, images: str
-) -> tuple[Camera | None, DcgsError | None]:
-    """Return an image topic's camera by the first usable CameraInfo, or None and what was wrong.
-
-    Drivers send intrinsics of zero until they have read the calibration.
-    """
-    first_error: DcgsError | None = None
-    with suppress(DamagedError):  # reported with the frames
-        for message in raw_messages(path, [topic] if topic else []):
-            try:
-                info = decode(message.cdr, message.type)
-                return read_camera(info, is_rectified(images)), None
-            except (MessageError, CameraError) as error:
-                first_error = first_error or error
-    return None, first_error
 
 
 def _usual_size(path: Path | str, topic: str) -> tuple[int, int] | None:

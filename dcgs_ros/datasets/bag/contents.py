@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,22 +12,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.camera import CameraError
 from ...core.trajectory import Trajectory
-from ...io.ros_images import MessageError, is_rectified, read_camera
+from ...io.ros_images import MessageError, is_rectified
 from ..images.association import pair_stamps
 from ..images.camera_timeline import CameraTimeline
 from ..images.indexed_frames import stamp_of_index
 from ..images.stamps import OrderedStamps, order_stamps
 from ..options import AS_STORED, SourceOptions
 from ..source import BadFrame, SourceError
+from .camera_info import InfoReader
 from .extrinsics import read_transform
 from .messages import POSE, RawMessage, decode, read_header
 from .recording import raw_messages
 from .recovery.losses import DamagedError
 from .topics import GROUNDTRUTH_TOPIC, CameraTopics
-
-_AFTER_STAMP = 12  # byte of a message that begins with a header
 
 
 class RecordedImage(NamedTuple):
@@ -67,7 +64,7 @@ def read_contents(
     """
     stamps: dict[str, list[int]] = {topics.color: [], topics.depth: []}
     images = {topics.camera_info: topics.color, topics.depth_info: topics.depth}
-    infos = {topic: _InfoReader(is_rectified(name)) for topic, name in images.items() if topic}
+    infos = {topic: InfoReader(is_rectified(name)) for topic, name in images.items() if topic}
     poses: dict[int, NDArray[np.float64]] = {}
     lost = []
     number = 0
@@ -94,24 +91,6 @@ def read_contents(
         raise SourceError(f'{error}{damage}') from None
     cameras = {topic: reader.timeline for topic, reader in infos.items()}
     return RecordingContents(pairs, _trajectory(poses), lost, notes, cameras)
-
-
-class _InfoReader:
-    """Reads the CameraInfo of a topic, each of which mostly repeats the last one."""
-
-    def __init__(self, rectified: bool) -> None:
-        """Begin; `rectified` images have a camera of their own."""
-        self.timeline, self._rectified = CameraTimeline(), rectified
-        self._last = b''
-
-    def read(self, message: RawMessage) -> None:
-        """Add a message; one without usable intrinsics changes nothing."""
-        if message.cdr[_AFTER_STAMP:] == self._last:
-            return
-        self._last = message.cdr[_AFTER_STAMP:]
-        with suppress(MessageError, CameraError):
-            camera = read_camera(decode(message.cdr, message.type), self._rectified)
-            self.timeline.add(read_header(message.cdr)[0], camera)
 
 
 def _read_pose(message: RawMessage) -> tuple[int, NDArray[np.float64]]:

@@ -34,6 +34,8 @@ SYNTHETIC = {  # address without frames and seed: ablations
     'synthetic:room?speed=2&': ('full',),
     'synthetic:room?sensor=d435i&': ('full',),
     'synthetic:room?sensor=ideal&': ('full',),
+    'synthetic:room?sensor=d435i_measured&': ('full',),
+    'synthetic:room?sensor=kinect_measured&': ('full',),
     'synthetic:zigzag?': ABLATIONS,
     'synthetic:plane?': ABLATIONS,
     'synthetic:desk?': ('full',),

@@ -195,7 +195,7 @@ class RenderArguments:
     """Render a map along a trajectory, as images or as a video."""
 
     map: Annotated[Positional[Path], arg(metavar='MAP')]
-    """A run's map.dcgs, or a 3DGS .ply, which needs --camera."""
+    """A run's map.dcgs, or a 3DGS .ply or .spz, which need --camera."""
 
     trajectory: Annotated[
         Path,
@@ -230,16 +230,17 @@ class InfoArguments(_WithOptions):
 
 @dataclass(frozen=True)
 class ConvertArguments(_WithOptions):
-    """Convert a sequence to a rosbag2 with a RealSense's topics, or to a TUM folder.
+    """Convert a sequence to a rosbag2 with a RealSense's topics or to a TUM folder, or a map.
 
-    The summary at the end names what the format could not hold. Ground truth and IMU data of a
-    rosbag2 are cut to the time of the frames. Stopped early, nothing is written.
+    A map (.dcgs, .ply, .spz) becomes a 3DGS .ply or .spz, as DEST ends. The summary at the end
+    names what the format could not hold. Ground truth and IMU data of a rosbag2 are cut to the
+    time of the frames. Stopped early, nothing is written.
     """
 
     source: Source
 
     dest: Annotated[Positional[Path], arg(metavar='DEST')]
-    """Output folder, new or empty."""
+    """Output folder, new or empty; of a map, a new file."""
 
     format: Annotated[
         OutputFormat | None,

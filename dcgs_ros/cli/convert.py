@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs convert`: write a sequence as a rosbag2 or a TUM folder, complete or not at all."""
+"""`dcgs convert`: write a sequence or a map in another format, complete or not at all."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from ..datasets.tum.writer import write_tum_folder
 from ..io.whole_files import staged_folder
 from .arguments import ConvertArguments, OutputFormat, UsageError
 from .folders import refuse_used
+from .maps import WRITERS, convert_map
 from .stopping import StopSignals
 from .tables import Row, table
 
@@ -73,6 +74,8 @@ class _FrameFilter:
 
 def execute(arguments: ConvertArguments) -> int:
     """Convert the sequence and return the exit status; if it is stopped, nothing is written."""
+    if arguments.dest.suffix.lower() in WRITERS:
+        return convert_map(arguments)
     output_format = _check(arguments)
     source = open_source(
         arguments.source, arguments.camera, arguments.groundtruth, arguments.options

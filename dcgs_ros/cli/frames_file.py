@@ -15,6 +15,7 @@ from ..core.errors import DcgsError
 from ..core.tracking.result import TrackingState
 from ..evaluation.report import RunRecord, SkippedFrame, TrackedFrame
 from ..io.trajectory import format_stamp_ns, parse_stamp_ns
+from ..io.whole_files import replacing
 
 _KAPPAS = ('kappa', 'kappa_without_radius', 'kappa_rotation', 'kappa_translation')
 _SKIPPED = 'skipped'  # in place of a state
@@ -62,7 +63,10 @@ def write_frames(path: Path, record: RunRecord) -> None:
     """Write a line per frame in the order of the source; unknown values are left empty."""
     rows = {frame.index: _tracked_row(frame) for frame in record.tracked}
     rows |= {frame.index: _skipped_row(frame) for frame in record.skipped}
-    with path.open('w', encoding='utf-8', newline='') as file:
+    with (
+        replacing(path) as temporary,
+        temporary.open('w', encoding='utf-8', newline='') as file,
+    ):
         writer = csv.DictWriter(file, COLUMNS, restval='', lineterminator='\n')
         writer.writeheader()
         writer.writerows(rows[index] for index in sorted(rows))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -30,13 +31,26 @@ VERBS: dict[str, Any] = {
 }
 _DESCRIPTION = 'Dual Covariance Gaussian Splatting SLAM. `dcgs --version` prints the version.'
 _INTERRUPTED = 130  # 128 + SIGINT, as in shells
+_READER_GONE = 141  # 128 + SIGPIPE
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit status: 0, 2 for user errors, or 128 + a signal's number.
 
-    An unexpected error is not caught: Python prints a traceback and exits with 1.
+    A reader that closes the pipe, as `head` does, is SIGPIPE. An unexpected error is not caught:
+    Python prints a traceback and exits with 1.
     """
+    try:
+        try:
+            return _run(argv)
+        finally:
+            print(end='', flush=True)  # after the help, too, which raises `SystemExit`
+    except BrokenPipeError:
+        _close_pipes()
+        return _READER_GONE
+
+
+def _run(argv: Sequence[str] | None) -> int:
     words = sys.argv[1:] if argv is None else list(argv)
     if words == ['--version']:
         print(f'dcgs {__version__}')
@@ -49,6 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         status: int = import_module(f'.{verb}', __package__).execute(arguments)
     except DcgsError as error:
         return _print_error(str(error))
+    except BrokenPipeError:
+        raise
     except OSError as error:
         where = f'{error.filename}: ' if error.filename else ''
         return _print_error(f'{where}{error.strerror or error}')
@@ -61,3 +77,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _print_error(reason: str) -> int:
     print(f'dcgs: {reason}', file=sys.stderr)
     return 2
+
+
+def _close_pipes() -> None:
+    """Send to nowhere what Python would still write to a closed pipe when it exits."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -25,10 +24,10 @@ from ..datasets.camera_presets import PRESETS
 from ..datasets.parsing.intrinsics import parse_intrinsics
 from ..evaluation.map_view import read_corrections
 from ..io.map_archive import MapFileError, SavedMap, read_map
-from ..io.ply import PlyError, read_ply
 from ..io.trajectory import read_tum
 from .arguments import RenderArguments, UsageError
-from .folders import FolderError, create_folder, refuse_used
+from .folders import FolderError, new_folder, refuse_used
+from .maps import is_splats, read_splats
 from .pictures import CODECS, ImageFolder, Pictures, Video
 
 Pose = NDArray[np.float64]  # (4, 4) T_world_cam
@@ -72,14 +71,12 @@ def _check_out(arguments: RenderArguments) -> None:
 
 
 def _read(arguments: RenderArguments) -> _MapToRender:
-    """Read the map; raise `UsageError` for a .ply without --camera."""
+    """Read the map; raise `UsageError` for a .ply or .spz without --camera."""
     path, camera = arguments.map, _camera(arguments)
-    if path.suffix.lower() != '.ply':
+    if not is_splats(path):
         saved = read_map(path)
         return _MapToRender(saved.splats, camera or saved.camera, _corrected(path, saved))
-    splats = read_ply(path)
-    if not len(splats):
-        raise PlyError(f'{path}: holds no Gaussian')
+    splats = read_splats(path)
     if camera is None:
         raise UsageError(f'{path} holds no camera: give --camera, with --size if it is numbers')
     return _MapToRender(splats, camera, lambda _, T_tracked: T_tracked)
@@ -118,19 +115,15 @@ def _camera(arguments: RenderArguments) -> PinholeCamera | None:
 
 @contextmanager
 def _pictures(arguments: RenderArguments, trajectory: Trajectory) -> Iterator[Pictures]:
-    """Open the video or create the folder; a folder left empty is removed."""
+    """Open the video or create the folder."""
     out = arguments.out
     if out is not None and out.suffix.lower() in CODECS:
         out.parent.mkdir(parents=True, exist_ok=True)
         with closing(Video(out, _rate_hz(trajectory))) as video:
             yield video
         return
-    folder = create_folder(out, arguments.map.stem)
-    try:
+    with new_folder(out, arguments.map.stem) as folder:
         yield ImageFolder(folder, arguments.depth)
-    finally:
-        with contextlib.suppress(OSError):  # it is not empty unless nothing was written
-            folder.rmdir()
 
 
 def _rate_hz(trajectory: Trajectory) -> float:

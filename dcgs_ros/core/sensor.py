@@ -35,10 +35,20 @@ class SensorNoise:
     )
     depth_min_m: float = described(0.3, 'Smallest depth that is used, metres.')
     depth_max_m: float = described(5.0, 'Largest depth that is used, metres.')
+    depth_bias: float = described(
+        0.0,
+        'Standard deviation of the smooth relative error of depth over the image, of a camera '
+        'without a calibration; 0: none.',
+    )
     depth_readout_ms: float = described(
         0.0,
         'Time from the exposure of the first row of a depth image to that of the last, '
         'milliseconds; 0: global shutter.',
+    )
+    color_readout_ms: float = described(
+        0.0,
+        'Time from the exposure of the first row of a colour image to that of the last, '
+        'milliseconds; the stamp is that of the middle row.',
     )
     stamp_ms: float = described(
         0.0,
@@ -55,10 +65,12 @@ class SensorNoise:
                 f'need 0 <= depth_min_m < depth_max_m, got {self.depth_min_m} '
                 f'and {self.depth_max_m}'
             )
-        if not (self.depth_readout_ms >= 0 and self.stamp_ms >= 0):
+        times = self.depth_readout_ms, self.color_readout_ms, self.stamp_ms
+        if not 0 <= self.depth_bias < 0.5:
+            raise SensorError(f'need 0 <= depth_bias < 0.5, got {self.depth_bias}')
+        if not all(time >= 0 for time in times):
             raise SensorError(
-                f'need depth_readout_ms and stamp_ms >= 0, got {self.depth_readout_ms} '
-                f'and {self.stamp_ms}'
+                f'need depth_readout_ms, color_readout_ms and stamp_ms >= 0, got {times}'
             )
 
     @classmethod
@@ -68,11 +80,13 @@ class SensorNoise:
 
     @classmethod
     def kinect(cls) -> SensorNoise:
-        """Return a real Kinect v1's or Xtion's: its infrared imager has a rolling shutter.
+        """Return a real Kinect v1's or Xtion's, whose depth no calibration has corrected.
 
-        The readout takes nearly the whole frame interval, and images are stamped on arrival.
+        Both its imagers have rolling shutters. The readouts take nearly the whole frame interval
+        (colour's: Ringaby and Forssen, ICCV 2011), and images are stamped on arrival.
         """
-        return replace(cls.structured_light(), depth_readout_ms=30.0, stamp_ms=_STAMP_MS)
+        readouts = {'depth_readout_ms': 30.0, 'color_readout_ms': 26.0}
+        return replace(cls.structured_light(), depth_bias=0.01, **readouts, stamp_ms=_STAMP_MS)
 
     @classmethod
     def stereo(
@@ -97,8 +111,13 @@ class SensorNoise:
 
     @classmethod
     def realsense(cls, depth_focal_px: float) -> SensorNoise:
-        """Return a real D435's or D435i's: stereo with 50 mm between its imagers."""
-        return replace(cls.stereo(depth_focal_px, 0.05), stamp_ms=_STAMP_MS)
+        """Return a real D435's or D435i's: stereo with 50 mm between its imagers.
+
+        Depth has a global shutter. Colour's rows are spread over nearly all of a frame interval at
+        30 Hz (librealsense, issues 2724 and 3554).
+        """
+        noise = cls.stereo(depth_focal_px, 0.05)
+        return replace(noise, color_readout_ms=30.0, stamp_ms=_STAMP_MS)
 
     @classmethod
     def floor(cls, sigma_m: float = 0.001, depth_max_m: float = 12.0) -> SensorNoise:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +35,10 @@ class MappingMode(Protocol):
         """Do the mapper's work that is due, if it has no thread."""
         ...
 
+    def between_steps(self, work: Callable[[Mapper], None]) -> None:
+        """Have `work` called once, soon, where the mapper is at rest; it must not change it."""
+        ...
+
     def finish(self) -> Iterator[int]:
         """Complete the map after the last frame; yield how many steps are left.
 
@@ -43,22 +47,39 @@ class MappingMode(Protocol):
         ...
 
 
-class Lockstep:
+class _Mode:
+    """What both modes have in common."""
+
+    def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
+        self._tracker, self._mapper = tracker, mapper
+        self._selector = KeyframeSelector(mapper.config.mapping.view_interval)
+        self._asked: queue.SimpleQueue[Callable[[Mapper], None]] = queue.SimpleQueue()
+
+    def between_steps(self, work: Callable[[Mapper], None]) -> None:
+        """Have `work` called once, soon, by the thread that drives the mapper."""
+        self._asked.put(work)
+
+    def _answer(self) -> None:
+        while not self._asked.empty():
+            self._asked.get()(self._mapper)
+
+
+class Lockstep(_Mode):
     """Mapper steps counted by frames, never by the clock: the same input gives the same bytes."""
 
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
         """Take a tracker that has not tracked anything yet."""
-        self._tracker, self._mapper = tracker, mapper
-        self._selector = KeyframeSelector(mapper.config.mapping.view_interval)
+        super().__init__(tracker, mapper)
         self._arrived: list[PosedFrame] = []
         self._due = 0.0
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
         """Hand a frame over."""
-        self._arrived += self._selector.select(frame, result)
+        self._arrived += self._selector.select(self._tracker.corrected(frame), result)
 
     def advance(self) -> None:
         """Insert what arrived, take the steps that are due, and update the tracker."""
+        self._answer()
         answer = bool(self._arrived)
         for posed in self._arrived:
             self._mapper.insert(posed)
@@ -80,17 +101,17 @@ class Lockstep:
         left = config.mapping.final_steps if mapper.views else 0
         for rate in np.linspace(1.0, config.rates.final, left):
             mapper.step(float(rate), replay=True)
+            self._answer()
             left -= 1
             yield left
 
 
-class Online:
+class Online(_Mode):
     """The mapper runs free in its own thread, as in the node."""
 
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
         """Start the thread; it ends with `finish`, or with the process."""
-        self._tracker, self._mapper = tracker, mapper
-        self._selector = KeyframeSelector(mapper.config.mapping.view_interval)
+        super().__init__(tracker, mapper)
         self._arrived: queue.SimpleQueue[PosedFrame] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[MapUpdate] = queue.SimpleQueue()
         self._stop = threading.Event()
@@ -102,7 +123,7 @@ class Online:
         """Hand a frame over; take the mapper's newest answer. Raises what the mapper raised."""
         if self._failure is not None:
             raise self._failure
-        for posed in self._selector.select(frame, result):
+        for posed in self._selector.select(self._tracker.corrected(frame), result):
             self._arrived.put(posed)
         if not self._answers.empty():
             self._tracker.apply(self._answers.get())
@@ -118,6 +139,7 @@ class Online:
         try:
             give_way()
             while not self._stop.is_set():
+                self._answer()
                 if not self._arrived.empty():
                     self._mapper.insert(self._arrived.get())
                     self._answers.put(self._mapper.update())

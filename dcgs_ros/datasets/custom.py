@@ -17,6 +17,7 @@ from ..core.config.schema import ConfigError, override
 from ..core.sensor import SensorError, SensorNoise
 from ..io.trajectory import read_tum
 from ..io.whole_files import replacing
+from ..io.yaml_text import load_yaml
 from .camera_presets import PRESETS, CameraPreset
 from .images.file_patterns import pair_by_name, pair_by_order
 from .images.pairing import PairedImages, pair_images
@@ -37,11 +38,6 @@ _KEYS = (
     *('depth_per_metre', 'sync_slop_s', 'sensor', 'groundtruth'),
 )
 _MAX_BYTES = 2**16
-# YAML's own errors, and those that PyYAML's constructors let through for tags with odd values.
-_YAML_ERRORS = (
-    *(yaml.YAMLError, ValueError, TypeError, ArithmeticError, LookupError),
-    *(AttributeError, RecursionError),
-)
 
 
 def is_custom(path: Path) -> bool:
@@ -110,14 +106,7 @@ def write_description(
 
 
 def _load(file: Path) -> dict[str, Any]:
-    text = read_text(file, _MAX_BYTES)
-    try:
-        tree = yaml.safe_load(text)
-    except _YAML_ERRORS as error:
-        mark = getattr(error, 'problem_mark', None)
-        where = '' if mark is None else f' in line {mark.line + 1}'
-        problem = getattr(error, 'problem', None) or str(error).partition('\n')[0]
-        raise ValueError(f'no YAML: {problem}{where}') from None
+    tree = load_yaml(read_text(file, _MAX_BYTES))
     _check_map(tree, 'the file holds', _KEYS)
     return tree
 

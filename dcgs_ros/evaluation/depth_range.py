@@ -44,20 +44,29 @@ class DepthSurvey:
         within = (depth_m >= sensor.depth_min_m) & (depth_m <= sensor.depth_max_m)
         return float(within.mean())
 
+    def summary(self, sensor: SensorNoise, per_metre: float | None) -> str | None:
+        """Return where the depth lies, as read in the unit `per_metre`; None without any."""
+        share, depth_m = self.share(sensor), self._depth_m
+        if share is None:
+            return None
+        unit = '' if per_metre is None else f' at {per_metre:g} per metre'
+        return (
+            f"{share:.0%} of the depth lies in the sensor's range of {sensor.depth_min_m:g} to "
+            f'{sensor.depth_max_m:g} m, {self._near(sensor):.0%} is nearer; the median is '
+            f'{np.median(depth_m):.3g} m{unit}'
+        )
+
     def warning(self, sensor: SensorNoise, per_metre: float | None) -> str | None:
         """Return what speaks against the unit `per_metre` of the depth, with a remedy, or None."""
-        share, depth_m = self.share(sensor), self._depth_m
-        if share is None or per_metre is None:
+        share, summary = self.share(sensor), self.summary(sensor, per_metre)
+        if share is None or summary is None or per_metre is None:
             return None
-        near = float((depth_m < sensor.depth_min_m).mean())
-        if share >= _HARDLY_ANY and near <= _TOO_NEAR:
+        if share >= _HARDLY_ANY and self._near(sensor) <= _TOO_NEAR:
             return None
-        low, high = sensor.depth_min_m, sensor.depth_max_m
-        return (
-            f"{share:.0%} of the depth lies in the sensor's range of {low:g} to {high:g} m, "
-            f'{near:.0%} is nearer; the median is {np.median(depth_m):.3g} m at {per_metre:g} per '
-            f'metre{self._remedy(sensor, per_metre, share)}'
-        )
+        return summary + self._remedy(sensor, per_metre, share)
+
+    def _near(self, sensor: SensorNoise) -> float:
+        return float((self._depth_m < sensor.depth_min_m).mean())
 
     def _remedy(self, sensor: SensorNoise, per_metre: float, share: float) -> str:
         shares = {unit: self.share(sensor, per_metre / unit) or 0.0 for unit in _UNITS}

@@ -67,6 +67,7 @@ class RunRecord:
     depth_per_metre: float | None = None  # value of a depth pixel; None: depth is made in metres
     depth: DepthSurvey = field(default_factory=DepthSurvey)
     depth_in_range: float | None = None  # share of the depth surveyed, in the sensor's range
+    depth_summary: str | None = None  # where the depth surveyed lies, for the user
     warnings: list[str] = field(default_factory=list)
     tracked: list[TrackedFrame] = field(default_factory=list)
     skipped: list[SkippedFrame] = field(default_factory=list)

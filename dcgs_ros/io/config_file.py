@@ -14,7 +14,10 @@ import yaml
 from ..core.config.schema import ConfigError, nested, override
 from ..core.config.stages import Config
 from ..core.errors import DcgsError
+from .whole_files import replacing
+from .yaml_text import load_yaml
 
+_MAX_BYTES = 2**20
 _ROS_BLOCK = 'ros__parameters'
 
 
@@ -40,17 +43,22 @@ def apply_file(config: Config, path: Path | str) -> Config:
 def write_config(path: Path | str, config: Config) -> None:
     """Write every field: `apply_file` then gives an equal configuration from any other."""
     text = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False)
-    Path(path).write_text(text, encoding='utf-8')
+    with replacing(Path(path)) as temporary:
+        temporary.write_text(text, encoding='utf-8')
 
 
 def _read(path: Path) -> dict[str, Any]:
     """Read a settings file as {'stage.field': value}."""
     try:
-        tree = yaml.safe_load(path.read_bytes())
+        with path.open('rb') as file:
+            text = file.read(_MAX_BYTES + 1)
+        if len(text) > _MAX_BYTES:
+            raise ValueError(f'no settings: more than {_MAX_BYTES} bytes')
+        tree = load_yaml(text)
     except OSError as error:
         raise SettingsFileError(f'{path}: cannot be read: {error.strerror}') from error
-    except (yaml.YAMLError, UnicodeError) as error:
-        raise SettingsFileError(f'{path}: no YAML: {_one_line(error)}') from error
+    except ValueError as error:
+        raise SettingsFileError(f'{path}: {error}') from None
     if tree is None:
         return {}
     if not isinstance(tree, Mapping):
@@ -63,12 +71,3 @@ def _read(path: Path) -> dict[str, Any]:
         if value is not None or not field.endswith(_ROS_BLOCK):  # else: an empty block
             flat[field] = value
     return flat
-
-
-def _one_line(error: Exception) -> str:
-    """Return the problem and its line; PyYAML's own text takes several lines."""
-    mark = getattr(error, 'problem_mark', None)
-    problem = getattr(error, 'problem', None)
-    if mark is None or problem is None:
-        return str(error).splitlines()[0]
-    return f'{problem} in line {mark.line + 1}'

@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from .whole_files import replacing
 # these columns hold another quantity.
 QUATERNION_NORM_TOLERANCE = 1e-2
 
+_HEADING = '# timestamp tx ty tz qx qy qz qw\n'
 _STAMP_LIMIT_NS = 2**62  # 146 years: the difference of two stamps still fits 64 bits
 _SINCE_1970_NS = range(10**18, 21 * 10**17)  # times from 2001 to 2036
 _EUROC_COLUMNS = 17  # with velocity and biases after the pose
@@ -121,7 +124,47 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     The file is written completely or not at all. Raises `TrajectoryFileError` if it cannot be.
     """
     path = Path(path)
-    lines = ['# timestamp tx ty tz qx qy qz qw\n']
+    try:
+        with replacing(path) as temporary:
+            temporary.write_text(_HEADING + _lines(trajectory), encoding='ascii')
+    except OSError as error:
+        reason = error.strerror or error
+        raise TrajectoryFileError(f'{path}: cannot be written: {reason}') from error
+
+
+class TrajectoryStream:
+    """A trajectory file that grows. What replaces the file meanwhile is never written to."""
+
+    def __init__(self, path: Path) -> None:
+        """Wait for the first pose to create the file."""
+        self._path, self._last_ns = path, -_STAMP_LIMIT_NS
+        self._file: FileIO | None = None
+
+    def append(self, trajectory: Trajectory) -> None:
+        """Write the poses that are newer than those before to the disk.
+
+        Raises `OSError`, a `FileExistsError` if the file was there before the first pose.
+        """
+        newer = trajectory.stamps_ns > self._last_ns
+        stamps_ns, T_world_cam = trajectory.stamps_ns[newer], trajectory.T_world_cam[newer]
+        if not len(stamps_ns):
+            return
+        text = _lines(Trajectory(stamps_ns, T_world_cam))
+        if self._file is None:
+            self._file = FileIO(self._path, 'x')
+            text = _HEADING + text
+        self._file.write(text.encode('ascii'))  # at once: a killed process leaves whole lines
+        os.fsync(self._file.fileno())
+        self._last_ns = int(stamps_ns[-1])
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def _lines(trajectory: Trajectory) -> str:
+    lines = []
     if len(trajectory):
         rotations = Rotation.from_matrix(trajectory.T_world_cam[:, :3, :3])
         # Canonical (w >= 0), as q and -q are the same rotation and should be the same text.
@@ -131,12 +174,7 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
         for stamp_ns, row in zip(trajectory.stamps_ns, rows, strict=True):
             numbers = ' '.join(f'{value:.9f}' for value in row)
             lines.append(f'{format_stamp_ns(stamp_ns)} {numbers}\n')
-    try:
-        with replacing(path) as temporary:
-            temporary.write_text(''.join(lines), encoding='ascii')
-    except OSError as error:
-        reason = error.strerror or error
-        raise TrajectoryFileError(f'{path}: cannot be written: {reason}') from error
+    return ''.join(lines)
 
 
 def data_rows(path: Path, scalar_last: bool = False) -> Iterator[tuple[int, list[str]]]:

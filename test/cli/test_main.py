@@ -4,19 +4,22 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import cv2
 import numpy as np
 import pytest
 
 from dcgs_ros import __version__
+from dcgs_ros.cli import folders
 from dcgs_ros.cli.arguments import OutputFormat
+from dcgs_ros.cli.folders import FolderError, new_folder, refuse_used
 from dcgs_ros.cli.main import VERBS, main
 from dcgs_ros.core.config.presets import QUALITIES, Ablation, Quality
 from dcgs_ros.core.config.schema import flatten, settings
@@ -76,6 +79,13 @@ def test_an_unknown_setting_is_answered_with_the_valid_ones(refusal: Refusal) ->
     assert all(key in line for key in flatten(Config()))
 
 
+@pytest.mark.parametrize('text', ['[' * 3000 + ']' * 3000, 'sensor: &a {a_m: *a}'])
+def test_settings_without_an_end_are_one_line(refusal: Refusal, tmp_path: Path, text: str) -> None:
+    (tmp_path / 'endless.yaml').write_text(text)
+    line = refusal('run', PLANE, '--config', str(tmp_path / 'endless.yaml'))
+    assert 'endless.yaml: no ' in line
+
+
 @pytest.mark.parametrize('verb', ['run', 'info'])
 def test_paths_that_are_not_a_sequence(refusal: Refusal, tmp_path: Path, verb: str) -> None:
     file = tmp_path / 'file.txt'
@@ -125,6 +135,60 @@ def test_a_folder_in_use_is_refused_before_any_work(refusal: Refusal, tmp_path: 
     assert 'not empty' in refusal('run', 'nowhere', '--out', str(used))
     assert [path.name for path in used.iterdir()] == ['notes.txt']
     assert 'is a file' in refusal('run', 'nowhere', '--out', str(used / 'notes.txt'))
+
+
+def test_a_folder_of_another_run_is_refused_until_that_has_ended(
+    refusal: Refusal, tmp_path: Path
+) -> None:
+    out = tmp_path / 'other'
+    with new_folder(out, 'run'):
+        line = refusal('run', PLANE, '--out', str(out))
+        assert line == f'dcgs: {out} is in use: another process writes there'
+        assert out.is_dir()  # not removed by the one that was refused
+    assert not out.exists()
+
+
+def test_what_killed_processes_left_does_not_occupy_a_folder(tmp_path: Path) -> None:
+    out = tmp_path / 'out'
+    (out / '.map.7.tmp').mkdir(parents=True)
+    (out / '.map.dcgs.123.tmp').write_text('half')
+    with new_folder(out, 'run') as folder:
+        assert list(folder.iterdir()) == []
+
+
+def test_a_folder_with_something_else_is_left_as_it_is(tmp_path: Path) -> None:
+    for name in ('.map.dcgs.123.tmp', 'notes.txt'):
+        (tmp_path / name).write_text('mine')
+    with pytest.raises(FolderError, match='is not empty'):
+        refuse_used(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_folder_that_another_process_filled_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = folders.locked
+
+    def late(path: Path) -> Any:
+        (path / 'report.json').write_text('{}')
+        return whole(path)
+
+    monkeypatch.setattr(folders, 'locked', late)
+    with pytest.raises(FolderError, match='is not empty'), new_folder(tmp_path / 'out', 'run'):
+        pass
+    assert (tmp_path / 'out' / 'report.json').exists()
+
+
+def test_numbered_folders_are_freed_of_what_killed_runs_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'runs' / 'a-1').mkdir(parents=True)
+    for name in ('trajectory.tum', '.map.ply.9.tmp'):
+        (tmp_path / 'runs' / 'a-1' / name).write_text('')
+    with new_folder(None, 'a') as folder:
+        assert folder == Path('runs/a-2')
+    assert [path.name for path in Path('runs/a-1').iterdir()] == ['trajectory.tum']
 
 
 def test_a_folder_that_cannot_be_made_is_named(refusal: Refusal, tmp_path: Path) -> None:
@@ -216,6 +280,42 @@ def test_help_imports_nothing_heavy_and_a_run_no_matplotlib(
     running = loaded_after('import dcgs_ros.cli.run')
     assert 'numba' in running
     assert not running & {'matplotlib', 'torch'}
+
+
+def test_what_is_left_for_a_closed_pipe_goes_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else Python would complain when it exits."""
+    reading, writing = os.pipe()
+    os.close(reading)
+
+    class Closed(io.StringIO):
+        def flush(self) -> None:
+            os.write(writing, b'rest')
+
+        def fileno(self) -> int:
+            return writing
+
+    monkeypatch.setattr(sys, 'stdout', Closed())
+    assert main(['--version']) == 141
+    sys.stdout.flush()
+    os.close(writing)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('words', [['info', PLANE], ['info', '--help'], ['--version']])
+def test_a_reader_that_closes_the_pipe_is_no_fault_of_the_input(words: list[str]) -> None:
+    for both in (False, True):  # stdout alone, and stderr too
+        reading, writing = os.pipe()
+        os.close(reading)
+        done = subprocess.run(
+            [sys.executable, '-m', 'dcgs_ros.cli', *words],
+            cwd=ROOT,
+            stdout=writing,
+            stderr=writing if both else subprocess.PIPE,
+            check=False,
+        )
+        os.close(writing)
+        assert done.returncode == 141
+        assert not done.stderr
 
 
 @pytest.mark.slow

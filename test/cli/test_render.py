@@ -29,6 +29,7 @@ from dcgs_ros.io.trajectory import read_tum, write_tum
 CAMERA = ('--camera', '131.25,131.25,79.5,59.5', '--size', '160x120')
 LEVEL = 1  # of 255: poses are rounded to nine decimals
 MILLIMETRE = 1
+SPZ_LEVELS = 3  # mean error of SPZ's eight bits
 VIDEO_LEVELS = 12  # largest mean error of a video codec
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('small_images')]
@@ -94,6 +95,16 @@ def test_a_ply_is_seen_with_the_camera_given(mapped: Run, saved: SavedMap, tmp_p
     T_tracked = read_tum(mapped.folder / 'trajectory.tum').T_world_cam[3]
     image = cv2.imread(str(tmp_path / 'out' / '000003.png'))
     assert difference(image, bgr_of(rendered(saved, T_tracked, SMALL_CAMERA))) <= LEVEL
+
+
+def test_an_spz_is_seen_like_the_map_that_it_was_made_of(mapped: Run, tmp_path: Path) -> None:
+    spz = tmp_path / 'map.spz'
+    assert main(['convert', str(mapped.folder / 'map.dcgs'), str(spz)]) == 0
+    words = ['--trajectory', str(mapped.folder / 'trajectory.tum'), *CAMERA]
+    for path in (spz, mapped.folder / 'map.ply'):
+        assert main(['render', str(path), *words, '--out', str(tmp_path / path.suffix[1:])]) == 0
+    images = [cv2.imread(str(tmp_path / kind / '000003.png')) for kind in ('spz', 'ply')]
+    assert np.abs(images[0].astype(float) - images[1]).mean() < SPZ_LEVELS
 
 
 def test_depth_is_in_millimetres_where_something_is_seen(

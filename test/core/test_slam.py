@@ -7,6 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -60,6 +61,9 @@ class FakeTracker:
         held, self.held = tuple(self.held), []
         return held
 
+    def corrected(self, frame: RgbdFrame) -> RgbdFrame:
+        return replace(frame, depth_m=2.0 * frame.depth_m)
+
     def apply(self, update: MapUpdate) -> None:
         self.removed += update.removed.tolist()
 
@@ -109,6 +113,26 @@ def follow(mapping: Lockstep, tracker: FakeTracker, frames: int, keyframes: set[
     for k in range(frames):
         mapping.after(*tracker.track(keyframe=k in keyframes))
         mapping.advance()
+
+
+def test_work_between_steps_is_done_once_at_the_next_frame_or_step() -> None:
+    tracker, mapper = FakeTracker(), FakeMapper(steps_per_frame=1.0, final_steps=3)
+    mapping, seen = lockstep(tracker, mapper), []
+
+    def work(given: Mapper) -> None:
+        assert cast(Any, given) is mapper
+        seen.append(len(mapper.log))
+
+    mapping.between_steps(work)
+    assert not seen
+    follow(mapping, tracker, 3, {0})
+    assert len(seen) == 1
+    steps = mapping.finish()
+    next(steps)
+    mapping.between_steps(work)
+    done = len(mapper.log)
+    assert len(list(steps)) == 2
+    assert seen[1:] == [done + 1]
 
 
 @pytest.mark.parametrize(
@@ -162,6 +186,13 @@ def test_after_alone_does_no_work() -> None:
     assert mapper.log == []
     mapping.advance()
     assert mapper.log[0] == 'insert 0'
+
+
+def test_views_between_keyframes_have_the_depth_that_the_tracker_believes() -> None:
+    tracker, mapper = FakeTracker(), FakeMapper(view_interval=1)
+    follow(lockstep(tracker, mapper), tracker, frames=4, keyframes={0})
+    between = [posed for posed in mapper.views if posed.frame.stamp_ns]
+    assert between and all((posed.frame.depth_m == 2.0).all() for posed in between)
 
 
 def test_the_final_steps_replay_with_falling_rates_and_tell_how_many_are_left() -> None:
@@ -260,6 +291,18 @@ def test_online_the_mapper_goes_on_while_nothing_comes(session: Session) -> None
     session.frame()
     eventually(lambda: session.mapper.log.count('step') > 20)
     assert session.mapper.log[:2] == ['insert 0', 'update']
+
+
+def test_online_work_between_steps_is_done_by_the_mappers_thread(session: Session) -> None:
+    seen: list[tuple[str, int]] = []
+    session.frame(keyframe=True)
+    session.frame()
+    for _ in range(3):
+        session.mapping.between_steps(
+            lambda mapper: seen.append((threading.current_thread().name, len(mapper.views)))
+        )
+    eventually(lambda: len(seen) == 3)
+    assert {name for name, _ in seen} == {'mapper'}
 
 
 @pytest.mark.parametrize('what', ['step', 'insert'])

@@ -26,6 +26,11 @@ AWKWARD = {
 }
 
 
+BILLION_LAUGHS = '\n'.join(
+    ['k0: &k0 {a: 1}', *(f'k{n}: &k{n} {{a: *k{n - 1}, b: *k{n - 1}}}' for n in range(1, 60))]
+)
+
+
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     return tmp_path / 'settings.yaml'
@@ -88,6 +93,17 @@ def test_an_unknown_key_is_answered_with_the_valid_ones(file: Path) -> None:
         ('a: [1', 'in line'),
         ('a: b: c', 'in line 1'),
         ('\x00', 'no YAML'),
+        ('a: ' + '[' * 3000 + ']' * 3000, 'no YAML: more than 100 brackets within each other'),
+        ('{a: ' * 3000, 'no YAML: more than 100 brackets within each other'),
+        ('- ' * 3000, 'no YAML: its blocks are nested too deeply'),
+        ('a: &a [*a]', 'more than 10000 values; does an alias'),
+        ('a: &a {b: *a}', 'more than 10000 values; does an alias'),
+        (BILLION_LAUGHS, 'more than 10000 values; does an alias'),
+        ('a: *b', "no YAML: found undefined alias 'b' in line 1"),
+        ('a: !!int ""', 'no YAML: '),
+        ('threads: ' + '1:' * 200 + '1.0', 'no YAML: '),
+        ('a: !!python/object/apply:os.system ["true"]', 'no YAML: could not determine a constr'),
+        ('a: ' + 'x' * 2**20, 'more than 1048576 bytes'),
         ('sensor: 5', "unknown setting 'sensor'"),
         ('sensor: {a_m: wide}', "'wide'"),
         ('sensor: {a_m: .nan}', 'sensor.a_m is nan'),

@@ -37,9 +37,12 @@ def random_splats(count: int, seed: int) -> Splats:
 
 
 def header(*lines: str, order: str = 'little') -> bytes:
-    return '\n'.join(
-        ['ply', f'format binary_{order}_endian 1.0', *lines, 'end_header', '']
-    ).encode()
+    encoding = order if order == 'ascii' else f'binary_{order}_endian'
+    return '\n'.join(['ply', f'format {encoding} 1.0', *lines, 'end_header', '']).encode()
+
+
+def as_text(rows: NDArray[np.void]) -> bytes:
+    return b''.join(b' '.join(str(x).encode() for x in row.tolist()) + b'\n' for row in rows)
 
 
 @contextlib.contextmanager
@@ -94,7 +97,7 @@ def test_one_gaussian_is_these_bytes(tmp_path: Path) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.sampled_from(['little', 'big']),
+    st.sampled_from(['little', 'big', 'ascii']),
     st.permutations(PLANES),
     st.lists(st.tuples(st.integers(0, 14), st.sampled_from(sorted(SCALARS))), max_size=8),
     st.lists(st.sampled_from(['float', 'float32', 'double', 'float64']), min_size=14, max_size=14),
@@ -111,7 +114,7 @@ def test_any_order_of_properties_and_bytes_and_any_extra_ones_are_read(
     properties = list(zip(names, kinds, strict=True))
     for number, (place, kind) in enumerate(extras):
         properties.insert(place, (f'extra_{number}', kind))
-    sign = '<' if order == 'little' else '>'
+    sign = '>' if order == 'big' else '<'
     splats = random_splats(3, seed=2)
     rows = np.ones(3, [(name, sign + SCALARS[kind]) for name, kind in properties])
     for name, plane in zip(PLANES, splats.planes, strict=True):
@@ -119,16 +122,23 @@ def test_any_order_of_properties_and_bytes_and_any_extra_ones_are_read(
     lines = [f'property {kind} {name}' for name, kind in properties]
     text = header('comment é', 'element vertex 3', 'obj_info 1', *lines, order=order)
     path = tmp_path_factory.mktemp('order') / 'a.ply'
-    path.write_bytes(text.replace(b'\n', newline) + rows.tobytes())
+    data = as_text(rows).replace(b'\n', newline) if order == 'ascii' else rows.tobytes()
+    path.write_bytes(text.replace(b'\n', newline) + data)
     assert_same(read_ply(path), splats)
 
 
-def test_elements_after_the_vertices_are_ignored(tmp_path: Path) -> None:
+@pytest.mark.parametrize('order', ['little', 'ascii'])
+def test_elements_before_and_after_the_vertices_are_ignored(tmp_path: Path, order: str) -> None:
     splats = random_splats(2, seed=3)
+    cameras = ['element camera 3', 'property int id', 'property double fx']
     faces = ['element face 1', 'property list uchar int vertex_indices', 'property half odd']
-    text = header('element vertex 2', *PROPERTIES, *faces)
-    rows = np.ascontiguousarray(splats.planes.T).astype('<f4')
-    (tmp_path / 'a.ply').write_bytes(text + rows.tobytes() + b'\x03' + bytes(12))
+    text = header(*cameras, 'element vertex 2', *PROPERTIES, *faces, order=order)
+    before = np.ones(3, [('id', '<i4'), ('fx', '<f8')])
+    rows = np.rec.fromarrays(list(splats.planes), dtype=[(name, '<f4') for name in PLANES])
+    pack = as_text if order == 'ascii' else np.ndarray.tobytes
+    after = b'3 0 1 2 0.5\n' if order == 'ascii' else b'\x03' + bytes(14)
+    space = b' \r\n' if order == 'ascii' else b''
+    (tmp_path / 'a.ply').write_bytes(text + pack(before) + space + pack(rows) + after)
     assert_same(read_ply(tmp_path / 'a.ply'), splats)
 
 
@@ -140,6 +150,14 @@ def vertices(count: str) -> bytes:
     return header(f'element vertex {count}', *PROPERTIES) + bytes(56)
 
 
+def text_of(*rows: str, count: int = 2) -> bytes:
+    lines = header(f'element vertex {count}', *PROPERTIES, order='ascii')
+    return lines + '\n'.join(rows).encode()
+
+
+ONES = ' '.join(['1.0'] * 14)
+
+
 HOSTILE = {
     'empty': (b'', "no PLY: begins with b''"),
     'an image': (b'\x89PNG\r\n\x1a\n' + bytes(100), r"no PLY: begins with b'\\x89PNG"),
@@ -147,21 +165,33 @@ HOSTILE = {
     'no end': (header()[:-11], 'no end_header within the first 36 bytes'),
     'endless': (b'ply\n' + b'comment x\n' * 10_000, 'no end_header within the first 65536 bytes'),
     'end in a comment': (b'ply\ncomment end_header\n', 'no end_header'),
-    'ascii': (b'ply\nformat ascii 1.0\nend_header\n', "'format ascii 1.0': only .*binary"),
+    'text of one row': (text_of(ONES, ' '), 'ends after 1 of 2 vertices'),
+    'text of one number less': (text_of(ONES, ONES[:-4]), 'after row 0 .* 14 columns but 13'),
+    'text of one number more': (text_of(ONES, ONES + ' 1'), 'after row 0 .* 14 columns but 15'),
+    'text of words': (text_of(ONES, ONES[:-3] + 'one'), "convert string 'one' to float32"),
+    'text of commas': (text_of(*[ONES.replace(' ', ',')] * 2), '14 columns but 1 were found'),
+    'text, cut off': (text_of('1 ' * 14), '2 vertices of 28 bytes need 55 bytes, but 28 follow'),
+    'text, huge': (text_of(ONES, count=10**17), 'need 27999'),
     'version': (b'ply\nformat binary_little_endian 2.0\nend_header\n', '2.0.*only'),
     'two formats': (
         header('format binary_big_endian 1.0'),
-        "'format binary_big_endian 1.0': only one binary",
+        "'format binary_big_endian 1.0': only one format",
     ),
     'no format': (b'ply\nelement vertex 0\nend_header\n', 'header has no format'),
     'no vertices': (header(), 'header has no element vertex'),
     'vertices twice': (header('element vertex 0', 'element vertex 0'), "vertex 0' is not underst"),
-    'faces first': (header('element face 0', 'element vertex 0'), "'face' comes before"),
-    'list': (
-        header('element vertex 0', 'property list uchar int a'),
-        "'a' of the vertices is a l",
+    'faces first': (
+        header('element face 0', 'property list uchar int a', 'element vertex 0', *PROPERTIES),
+        "'a' of the rows of 'face' is a list",
     ),
-    'type': (header('element vertex 0', 'property half x'), "'property half x' is not understood"),
+    'list': (
+        header('element vertex 0', *PROPERTIES, 'property list uchar int a'),
+        "'a' of the vertices is a list",
+    ),
+    'type': (
+        header('element vertex 0', *PROPERTIES, 'property half a'),
+        "'property half a' is not understood",
+    ),
     'orphan': (header('property float x'), "'property float x' is not understood"),
     'junk': (header('hello' * 1000), "'hello.{55}' is not understood"),
     'twice': (header('element vertex 0', *PROPERTIES, 'property int z'), "'z' of the .* twice"),
@@ -201,7 +231,7 @@ def test_a_file_that_is_not_there_or_a_folder_is_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
-def test_gaussians_that_are_not_finite_are_counted_and_refused(
+def test_gaussians_that_are_not_finite_are_counted_and_not_written(
     tmp_path: Path, value: float
 ) -> None:
     splats = random_splats(40_000, seed=5)
@@ -213,9 +243,25 @@ def test_gaussians_that_are_not_finite_are_counted_and_refused(
     with pytest.raises(PlyError, match=r'a\.ply: not written: 2 of 40000 Gaussians are not fini'):
         write_ply(path, splats)
     assert path.read_bytes() == good
-    position = len(good) - 17 * 4 * 3  # x of the third from the last
-    path.write_bytes(good[:position] + struct.pack('<f', value) + good[position + 4 :])
-    with pytest.raises(PlyError, match=r'a\.ply: 1 of 40000 Gaussians are not finite'):
+
+
+@pytest.mark.parametrize('order', ['little', 'ascii'])
+@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
+def test_gaussians_that_are_not_finite_are_left_out_and_counted(
+    tmp_path: Path, value: float, order: str
+) -> None:
+    splats = random_splats(50, seed=5)
+    rows = np.rec.fromarrays(list(splats.planes), dtype=[(name, '<f4') for name in PLANES])
+    rows['opacity'][[3, 49]] = value
+    rows['x'][7] = value
+    pack = as_text if order == 'ascii' else np.ndarray.tobytes
+    path, warnings = tmp_path / 'a.ply', list[str]()
+    path.write_bytes(header('element vertex 50', *PROPERTIES, order=order) + pack(rows))
+    found = read_ply(path, warnings.append)
+    assert_same(found, Splats(np.delete(splats.planes, [3, 7, 49], axis=1)))
+    assert found.planes.flags.c_contiguous
+    assert warnings == [f'{path}: 3 of 50 Gaussians are not finite and are left out']
+    with pytest.warns(UserWarning, match='3 of 50'):
         read_ply(path)
 
 
@@ -224,7 +270,7 @@ def test_a_double_beyond_float32_is_not_finite(tmp_path: Path) -> None:
     lines = [f'property double {name}' for name in PLANES]
     text = header('element vertex 1', *lines) + struct.pack('<14d', 1e39, *[0.0] * 13)
     (tmp_path / 'a.ply').write_bytes(text)
-    with pytest.raises(PlyError, match='1 of 1 Gaussians are not finite'):
+    with pytest.raises(PlyError, match=r'1 of 1 Gaussians are not finite$'):
         read_ply(tmp_path / 'a.ply')
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import closing
 from decimal import Decimal
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.io.trajectory import (
     TrajectoryFileError,
+    TrajectoryStream,
     format_stamp_ns,
     parse_stamp_ns,
     read_tum,
@@ -224,3 +226,37 @@ def test_an_interrupted_write_leaves_the_old_file(
 def test_an_empty_trajectory_is_a_header(tmp_path: Path) -> None:
     write_tum(tmp_path / 'a.tum', Trajectory(np.zeros(0, np.int64), np.zeros((0, 4, 4))))
     assert (tmp_path / 'a.tum').read_text() == '# timestamp tx ty tz qx qy qz qw\n'
+
+
+def line_of(k: int, x: float = 0.0) -> Trajectory:
+    T = np.eye(4)[None].copy()
+    T[0, 0, 3] = x
+    return Trajectory(np.array([k * 10**9]), T)
+
+
+def test_a_stream_is_the_file_that_would_be_written_at_once(tmp_path: Path) -> None:
+    parts = [line_of(1), line_of(2, 0.5), line_of(4)]
+    stamps_ns, T = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ('stamps_ns', 'T_world_cam')
+    )
+    write_tum(tmp_path / 'whole.tum', Trajectory(stamps_ns, T))
+    with closing(TrajectoryStream(tmp_path / 'a.tum')) as stream:
+        assert not (tmp_path / 'a.tum').exists()
+        for part in parts:
+            stream.append(part)
+            stream.append(part)  # no stamp comes twice, nor does one go back
+            assert int(read_tum(tmp_path / 'a.tum').stamps_ns[-1]) == int(part.stamps_ns[0])
+        stream.append(line_of(3))
+    assert (tmp_path / 'a.tum').read_bytes() == (tmp_path / 'whole.tum').read_bytes()
+
+
+def test_a_stream_does_not_write_into_what_replaced_its_file(tmp_path: Path) -> None:
+    path = tmp_path / 'a.tum'
+    with closing(TrajectoryStream(path)) as stream:
+        stream.append(line_of(1))
+        write_tum(path, line_of(7))
+        stream.append(line_of(2))
+    assert read_tum(path).stamps_ns.tolist() == [7 * 10**9]
+    with closing(TrajectoryStream(path)) as stream, pytest.raises(FileExistsError):
+        stream.append(line_of(8))

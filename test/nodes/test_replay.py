@@ -29,6 +29,7 @@ from bags import (  # type: ignore[import-not-found]
     MCAP,
     SQLITE,
     Entry,
+    depth_of,
     recording,
     write_bag,
 )
@@ -318,6 +319,19 @@ def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
     assert converted.camera_frame == raw.camera_frame  # that of the images
     (_, frame), _ = converted.items()
     assert read_camera(dict(converted.messages(frame, 0))['camera_info']).fy == 61
+
+
+def test_a_bag_in_another_unit_or_without_stamps_is_converted(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / 'bag', list(recording(4))[:-1])  # the last colour is missing
+    said: list[str] = []
+    converted = open_playback(
+        f'{path}?depth_per_metre=4000&rate_hz=10', None, 'optical', said.append
+    )
+    items = list(converted.items())
+    assert [stamp_ns for stamp_ns, _ in items] == [0, 10**8, 2 * 10**8]
+    depth = read_depth(dict(converted.messages(items[0][1], 0))['depth'])
+    np.testing.assert_array_equal(depth, depth_of(0) / np.float32(4000))
+    assert '3 colour and 4 depth images' in said[0]
 
 
 def test_a_bag_of_compressed_images_is_converted(tmp_path: Path) -> None:

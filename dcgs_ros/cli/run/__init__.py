@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from contextlib import closing
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from ...datasets.options import join_options
 from ...datasets.source import SourceError
 from ...evaluation.report import RunRecord
 from ..arguments import RunArguments, UsageError
-from ..folders import create_folder, refuse_used
+from ..folders import new_folder, refuse_used
 from ..stopping import StopSignals
 from .configuration import configure
 from .pipeline import start
@@ -36,7 +35,6 @@ def execute(arguments: RunArguments) -> int:
         arguments.source, arguments.camera, arguments.groundtruth, arguments.options
     )
     config = configure(source.sensor, arguments)
-    folder = create_folder(arguments.out, source.name)
     record = RunRecord(
         source.name,
         config.ablation,
@@ -45,20 +43,19 @@ def execute(arguments: RunArguments) -> int:
         source.depth_per_metre,
     )
     total = min(len(source), arguments.max_frames or len(source))
-    try:
-        with closing(Workers(mapper_threads(config, arguments.online))) as workers:
-            pipeline = start(source.camera, config, arguments.mapping, arguments.online, workers)
-            session = Session(source, pipeline, record, folder, arguments.asked_s)
-            with StopSignals() as stop:
-                session.process(total, lambda: stop.status != 0)
-                if record.tracked:
-                    session.save()
+    with (
+        new_folder(arguments.out, source.name) as folder,
+        closing(Workers(mapper_threads(config, arguments.online))) as workers,
+    ):
+        pipeline = start(source.camera, config, arguments.mapping, arguments.online, workers)
+        session = Session(source, pipeline, record, folder, arguments.asked_s)
+        with StopSignals() as stop:
+            session.process(total, lambda: stop.status != 0)
             if record.tracked:
-                session.evaluate(arguments.render_every, workers)
-        session.deferred.raise_first()
-    finally:
-        with contextlib.suppress(OSError):  # it is not empty unless nothing was written
-            folder.rmdir()
+                session.save()
+        if record.tracked:
+            session.evaluate(arguments.render_every, workers)
+    session.deferred.raise_first()
     if stop.status == 0 and not record.tracked:
         raise SourceError(_no_usable_frame(record))
     if stop.status == 0 and _is_lost(record):
@@ -93,6 +90,10 @@ def _lost(record: RunRecord, folder: Path) -> str:
             f'{len(record.skipped)} are skipped; the first: {first.name}: {first.reason}'
         )
     causes += record.warnings
+    if record.depth_summary is not None and not any(
+        warning.startswith(record.depth_summary) for warning in record.warnings
+    ):
+        causes.append(record.depth_summary)
     return (
         f'nothing was tracked: {". ".join(causes)}. Check depth, intrinsics and pairing with '
         f'`dcgs info`. What was written is in {folder}'

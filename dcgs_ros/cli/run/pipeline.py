@@ -119,6 +119,9 @@ class NoMapping:
     def advance(self) -> None:
         """Do nothing."""
 
+    def between_steps(self, work: Callable[[Mapper], None]) -> None:
+        """Never call `work`: there is no mapper."""
+
     def finish(self) -> Iterator[int]:
         """Return no steps."""
         return iter(())

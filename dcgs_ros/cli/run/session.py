@@ -27,6 +27,7 @@ from ...io.map_archive import SavedMap, write_map
 from ...io.ply import write_ply
 from ...io.snapshot import saved_map
 from ..tables import run_summary
+from .checkpoints import Checkpoints
 from .deferred_errors import DeferredErrors
 from .outputs import write_plot, write_report, write_tracks
 from .pacing import at_recorded_pace, on_demand
@@ -61,7 +62,8 @@ class Session:
         print(f'dcgs: tracking {total} frames of {record.source}', file=sys.stderr, flush=True)
         arrive = at_recorded_pace if pipeline.online else on_demand
         decoded = prefetch_frames(self._source, total, quietly=not pipeline.online)
-        with Progress(total) as progress:
+        checkpoints = Checkpoints(self._folder, record, pipeline)
+        with Progress(total) as progress, checkpoints:
             with deferred, closing(decoded), closing(arrive(decoded)) as items:
                 pipeline.process(items, record, progress, stopped)
             if record.tracked:
@@ -89,6 +91,7 @@ class Session:
         """Warn if the depth is hardly where the sensor measures: its unit may be wrong."""
         record, sensor = self._record, self._pipeline.tracker.config.sensor
         record.depth_in_range = record.depth.share(sensor)
+        record.depth_summary = record.depth.summary(sensor, record.depth_per_metre)
         self._warn(record.depth.warning(sensor, record.depth_per_metre))
 
     def _warn(self, text: str | None) -> None:

@@ -27,7 +27,7 @@ CHUNKS = 16
 _INLINED = (
     'kernels/jit.py', 'kernels/lens.py', 'kernels/small_matrix.py', 'mapping/rectification.py',
     'mapping/splats.py', 'render/renderer.py', 'render/simd.py', 'render/blending.py',
-    'render/projection.py',
+    'render/projection.py', 'tracking/factors.py',
 )  # fmt: skip
 
 

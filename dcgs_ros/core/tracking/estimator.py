@@ -37,7 +37,8 @@ class RegisteredFrame(PosedFrame):
     """A frame with its pose, its grey image, where KLT goes on from, and its motion."""
 
     grey: NDArray[np.uint8]  # (H, W)
-    twist: NDArray[np.float64]  # (6,) per second, camera frame, at the depth's instant
+    twist: NDArray[np.float64]  # (6,) per second, camera frame, at colour's instant
+    twist_at_depth: NDArray[np.float64]  # (6,) the same at depth's
 
 
 @dataclass(frozen=True)
@@ -112,11 +113,15 @@ def estimate(
 
     # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
     landmarks = _followed(grey, memory, prior, camera, config) if fresh else memory.landmarks
-    measured = _measured(landmarks, frame, memory, prior, camera, config) if fresh else None
+    T = prior.T_world_cam
+    measured = _measured(landmarks, frame, memory, T, camera, config) if fresh else None
     image = measured if len(landmarks) >= config.landmarks.min_factors else None
 
-    # The landmarks alone give a start, where there are enough.
+    # The landmarks alone give a start, where there are enough, and the motion within the frame.
     start = _start(frame, memory, prior, image, config)
+    if image is not None and config.sensor.color_readout_ms > 0.0:
+        T = start.T_world_cam
+        measured = image = _measured(landmarks, frame, memory, T, camera, config)
 
     # III-B, III-C and III-E: the depth residual, and joint Levenberg-Marquardt with the landmarks.
     def registered_from(start: _Start, image: PointFactors | None) -> Registration:
@@ -133,8 +138,9 @@ def estimate(
 
     T = found.T_world_cam
     registered = RegisteredFrame(
-        frame, T, memory.depth_motion(frame, T), grey, memory.depth_twist(frame, T)
-    )
+        frame, T, memory.depth_motion(frame, T), grey,
+        memory.motion.arriving(T, frame.stamp_ns).twist, memory.depth_twist(frame, T),
+    )  # fmt: skip
     return Estimate(registered, found, landmarks, measured, fresh)
 
 
@@ -192,18 +198,18 @@ def _measured(
     landmarks: Landmarks,
     frame: RgbdFrame,
     memory: Memory,
-    prior: PosePrior,
+    T_world_cam: NDArray[np.float64],  # (4, 4) roughly
     camera: PinholeCamera,
     config: Config,
 ) -> PointFactors | None:
     """Return the factors of the landmarks, if there are enough to tell anything."""
     if len(landmarks) < _FEWEST:
         return None
-    T = prior.T_world_cam
+    T, twist = T_world_cam, memory.motion.arriving(T_world_cam, frame.stamp_ns).twist
     weight = config.shared_klt_weight if config.ablation == 'shared_klt' else 1.0
     return landmarks.measured(
-        frame.depth_m, T, memory.depth_motion(frame, T), camera, config.sensor, config.landmarks,
-        weight,
+        frame.depth_m, T, memory.depth_motion(frame, T), twist, camera, config.sensor,
+        config.landmarks, weight,
     )  # fmt: skip
 
 

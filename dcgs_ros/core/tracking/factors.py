@@ -25,10 +25,14 @@ class Targets:
     axes: NDArray[np.float32]  # (N, 3) unit u, world
     perp: NDArray[np.float32]  # (N,) variance across u, square metres; negative: no match
     along: NDArray[np.float32]  # (N,) variance along u, square metres
+    hosts: NDArray[np.int32]  # (N,) keyframes from which they were measured; -1: another frame
 
     def __getitem__(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Targets:
         """Return the targets of a mask or of indices."""
-        return Targets(self.points[keep], self.axes[keep], self.perp[keep], self.along[keep])
+        return Targets(
+            self.points[keep], self.axes[keep], self.perp[keep], self.along[keep],
+            self.hosts[keep],
+        )  # fmt: skip
 
     def joined(self, other: Targets) -> Targets:
         """Return both sets together."""
@@ -37,6 +41,7 @@ class Targets:
             np.concatenate([self.axes, other.axes]),
             np.concatenate([self.perp, other.perp]),
             np.concatenate([self.along, other.along]),
+            np.concatenate([self.hosts, other.hosts]),
         )
 
     @property
@@ -52,6 +57,7 @@ def observed_from(
     viewpoints: NDArray[np.floating],  # (N, 3) metres, world
     sensor: SensorNoise,
     anchor: float,
+    hosts: NDArray[np.int32],  # (N,)
 ) -> Targets:
     """Return points with Sigma_t = S(u, z; p) as seen from their viewpoints; `anchor` is p / f."""
     rays = points - viewpoints
@@ -61,6 +67,7 @@ def observed_from(
         (rays / ranges[:, None]).astype(np.float32),
         np.square(anchor * ranges).astype(np.float32),
         np.square(sensor.sigma(ranges)).astype(np.float32),
+        hosts,
     )
 
 
@@ -303,6 +310,31 @@ def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total
 
 
 @kernel
+def plane_residual(point, c, normal, target, axis, perp, along, T):
+    """Return a pair's variance along n, n . a in metres, and its residual n . (R^T (mu - t) - a).
+
+    `point` a, `normal` n (3,) camera; `c` D (6,); `target` mu, `axis` (3,) world; `perp`, `along`
+    of `Targets`; `T` (4, 4) T_world_cam.
+    """
+    a0, a1, a2 = normal[0], normal[1], normal[2]
+    w0 = T[0, 0] * a0 + T[0, 1] * a1 + T[0, 2] * a2
+    w1 = T[1, 0] * a0 + T[1, 1] * a1 + T[1, 2] * a2
+    w2 = T[2, 0] * a0 + T[2, 1] * a1 + T[2, 2] * a2
+    cosine = w0 * axis[0] + w1 * axis[1] + w2 * axis[2]
+    variance = (
+        c[0] * a0 * a0 + c[3] * a1 * a1 + c[5] * a2 * a2
+        + 2.0 * (c[1] * a0 * a1 + c[2] * a0 * a2 + c[4] * a1 * a2)
+        + perp + (along - perp) * cosine * cosine
+    )  # fmt: skip
+    depth = a0 * point[0] + a1 * point[1] + a2 * point[2]
+    residual = (
+        w0 * (target[0] - T[0, 3]) + w1 * (target[1] - T[1, 3]) + w2 * (target[2] - T[2, 3])
+        - depth
+    )  # fmt: skip
+    return variance, depth, residual
+
+
+@kernel
 def _accumulate_along(points, covariances, normals, targets, axes, perp, along, T, total):
     """Add the point-to-plane terms to `total` (7, 7), as `_accumulate`.
 
@@ -314,24 +346,11 @@ def _accumulate_along(points, covariances, normals, targets, axes, perp, along, 
             continue
         a0, a1, a2 = normals[i, 0], normals[i, 1], normals[i, 2]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        w0 = T[0, 0] * a0 + T[0, 1] * a1 + T[0, 2] * a2
-        w1 = T[1, 0] * a0 + T[1, 1] * a1 + T[1, 2] * a2
-        w2 = T[2, 0] * a0 + T[2, 1] * a1 + T[2, 2] * a2
-        cosine = w0 * axes[i, 0] + w1 * axes[i, 1] + w2 * axes[i, 2]
-        c = covariances[i]
-        variance = (
-            c[0] * a0 * a0 + c[3] * a1 * a1 + c[5] * a2 * a2
-            + 2.0 * (c[1] * a0 * a1 + c[2] * a0 * a2 + c[4] * a1 * a2)
-            + perp[i] + (along[i] - perp[i]) * cosine * cosine
-        )  # fmt: skip
+        variance, _, row[6] = plane_residual(
+            points[i], covariances[i], normals[i], targets[i], axes[i], perp[i], along[i], T
+        )
         row[0], row[1], row[2] = a0, a1, a2
         row[3], row[4], row[5] = y * a2 - z * a1, z * a0 - x * a2, x * a1 - y * a0
-        row[6] = (
-            w0 * (targets[i, 0] - T[0, 3])
-            + w1 * (targets[i, 1] - T[1, 3])
-            + w2 * (targets[i, 2] - T[2, 3])
-            - (a0 * x + a1 * y + a2 * z)
-        )
         for a in range(7):
             for b in range(a, 7):
                 total[a, b] += row[a] * row[b] / variance

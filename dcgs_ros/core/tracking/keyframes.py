@@ -78,7 +78,7 @@ def candidates(
     Only those remain that the depth of the `last` frame, if there is one, confirms.
     """
     frame, settings = registered.frame, config.keyframes
-    cloud = sample(frame, camera, config, settings.spawn_stride_px, registered.twist)
+    cloud = sample(frame, camera, config, settings.spawn_stride_px, registered.twist_at_depth)
     cloud = thinned(cloud, settings.spawn_min_m)
     if last is None:
         return cloud

@@ -42,7 +42,7 @@ class Landmarks:
     def none(cls) -> Landmarks:
         """Return an empty set."""
         empty = np.empty((0, 3), np.float32)
-        targets = Targets(empty, empty, empty[:, 0], empty[:, 0])
+        targets = Targets(empty, empty, empty[:, 0], empty[:, 0], np.empty(0, np.int32))
         return cls(empty[:, :2], targets, Patches.none())
 
     def __len__(self) -> int:
@@ -103,6 +103,7 @@ class Landmarks:
         depth_m: NDArray[np.float32],  # (H, W)
         T_world_predicted: NDArray[np.float64],  # (4, 4)
         T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
+        twist: NDArray[np.float64],  # (6,) per second, of the camera, in its frame
         camera: PinholeCamera,
         sensor: SensorNoise,
         config: LandmarkConfig,
@@ -115,8 +116,9 @@ class Landmarks:
         """
         expected = np.maximum(self.seen_from(T_world_predicted)[:, 2], _NEAREST_M)
         measured, rays = _back_projected(
-            self.pixels, expected.astype(np.float32), depth_m, T_cam_cam_at_depth, camera, sensor
-        )
+            self.pixels, expected.astype(np.float32), depth_m, T_cam_cam_at_depth, twist, camera,
+            sensor,
+        )  # fmt: skip
         off = np.abs(measured - expected)
         bearing = off > _CONTRADICTS * np.sqrt(2.0) * sensor.sigma(expected) + _ROUGH_M
         bearing |= ~_in_range(measured, sensor)
@@ -135,22 +137,25 @@ def detect(
     alive: Landmarks,
     T_world_cam: NDArray[np.float64],  # (4, 4)
     T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
+    twist: NDArray[np.float64],  # (6,) per second, of the camera, in its frame
     gaussians: GaussianMap,
     camera: PinholeCamera,
     sensor: SensorNoise,
     config: LandmarkConfig,
     anchor_px: float,
+    host: int,
 ) -> Landmarks:
     """Return new corners, placed on the tangent planes of their nearest Gaussians.
 
     l = x + n_j n_j^T (mu_j - x), with the anchor's covariance Sigma_t,j. A corner without a
-    Gaussian near it is placed at its measured point x, with Sigma_t of this view. There are at
+    Gaussian near it is placed at its measured point x, with Sigma_t of this view, which is of
+    keyframe `host`, or -1. There are at
     most `config.corners` together with those `alive`, which they keep their distance from.
     """
     wanted = config.corners - len(alive)
     pixels = corners(grey, alive.pixels, _SPARE * wanted, config)
     guess = _depth_at(depth_m, pixels, sensor.a_m, sensor.b_per_m)
-    z, rays = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, camera, sensor)
+    z, rays = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, twist, camera, sensor)
     best = np.flatnonzero(_in_range(z, sensor))[: max(wanted, 0)]  # the strongest are first
     pixels, points = pixels[best], rays[best] * z[best, None]
     R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
@@ -159,14 +164,16 @@ def detect(
     on_map = slots >= 0
     near = slots[on_map]
     seen_at, seen_from, normals = world.copy(), np.tile(t, (len(world), 1)), world - t
+    hosts = np.full(len(world), host, np.int32)
     seen_at[on_map] = gaussians.means[near]
     seen_from[on_map] = gaussians.viewpoints[near]
     normals[on_map] = gaussians.normals[near]
+    hosts[on_map] = gaussians.hosts[near]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     height = np.sum((seen_at - world) * normals, axis=1, keepdims=True)
-    anchors = observed_from(seen_at, seen_from, sensor, anchor_px / camera.focal)
+    anchors = observed_from(seen_at, seen_from, sensor, anchor_px / camera.focal, hosts)
     targets = replace(anchors, points=(world + normals * height).astype(np.float32))
-    patches = cut(grey, pixels, points, normals @ R, T_world_cam, camera)
+    patches = cut(grey, pixels, z[best], normals @ R, T_world_cam, camera)
     return Landmarks(pixels, targets, patches)
 
 
@@ -195,15 +202,25 @@ def _back_projected(
     expected_m: NDArray[np.float32],  # (L,) expected depth
     depth_m: NDArray[np.float32],  # (H, W)
     T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
+    twist: NDArray[np.float64],  # (6,) per second
     camera: PinholeCamera,
     sensor: SensorNoise,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return depths (L,) and rays (L, 3), z = 1, of corners at colour's instant; 0: no depth.
 
+    Colour's instant is that of its middle row. With a rolling shutter, a row that is exposed dt
+    later sees a point from exp(dt twist), which moves its ray.
+
     The depth image was taken at another instant: a corner's depth is looked up where the camera's
     motion puts its point at that instant, and the motion along the axis is added.
     """
     rays = np.column_stack([camera.undistort(pixels), np.ones(len(pixels), np.float32)])
+    if sensor.color_readout_ms > 0.0:
+        late = (pixels[:, 1:] + 0.5) / camera.height - 0.5
+        seen = rays * np.maximum(expected_m, _NEAREST_M)[:, None]
+        velocities = seen @ se3.hat(twist[3:]).T + twist[:3]
+        moved = seen + 1e-3 * sensor.color_readout_ms * late * velocities
+        rays = (moved / moved[:, 2:]).astype(np.float32)
     there = rays * expected_m[:, None]
     T_cam_at_depth_cam = se3.inverse(T_cam_cam_at_depth)
     then = se3.transform(T_cam_at_depth_cam, there)

@@ -73,20 +73,23 @@ class Patches:
 def cut(
     image: NDArray[np.uint8],  # (H, W)
     pixels: NDArray[np.float32],  # (L, 2)
-    points: NDArray[np.floating],  # (L, 3) metres, camera frame
+    z: NDArray[np.floating],  # (L,) metres
     normals: NDArray[np.floating],  # (L, 3) unit, camera frame
     T_world_cam: NDArray[np.float64],  # (4, 4)
     camera: PinholeCamera,
 ) -> Patches:
-    """Return the patches around pixels, whose points lie on surfaces with these normals."""
-    rays = points / points[:, 2:]
+    """Return the patches around pixels, at depths z, of surfaces with these normals.
+
+    A patch is exposed at once, whatever the shutter does.
+    """
+    rays = np.column_stack([camera.undistort(pixels), np.ones(len(pixels))])
     facing = np.abs(np.sum(normals * rays, axis=1)) / np.linalg.norm(rays, axis=1)
     flat = np.where((facing < _MIN_COSINE)[:, None], rays, normals)
     steps = np.empty((len(pixels), 2, 3), np.float32)
     for k, step in enumerate(np.eye(2, dtype=np.float32)):
         beside = np.column_stack([camera.undistort(pixels + step), np.ones(len(pixels))])
-        z = np.sum(flat * points, axis=1) / np.sum(flat * beside, axis=1)
-        steps[:, k] = (beside * z[:, None] - points) @ T_world_cam[:3, :3].T
+        ratio = np.sum(flat * rays, axis=1) / np.sum(flat * beside, axis=1)
+        steps[:, k] = (beside * ratio[:, None] - rays) * z[:, None] @ T_world_cam[:3, :3].T
     grey = np.empty((len(pixels), SIDE, SIDE), np.float32)
     _cut(image, pixels, grey)
     return Patches(grey, steps)

@@ -65,23 +65,19 @@ class DepthTerm:
         n = len(cloud)
         targets = Targets(
             np.empty((n, 3), np.float32), np.empty((n, 3), np.float32),
-            np.empty(n, np.float32), np.empty(n, np.float32),
+            np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.int32),
         )  # fmt: skip
         map_normals = np.zeros((n, 3), np.float32)
         sensor = self._config.sensor
         _gather(
             self._slots, cloud.normals, T_world_cam, registration.min_normal_cosine,
             gaussians.means, gaussians.normals, gaussians.viewpoints, gaussians.flatness,
-            self._anchor, sensor.a_m, sensor.b_per_m, self._shared,
-            targets.points, targets.axes, targets.perp, targets.along, map_normals,
+            gaussians.hosts, self._anchor, sensor.a_m, sensor.b_per_m, self._shared,
+            targets.points, targets.axes, targets.perp, targets.along, targets.hosts, map_normals,
         )  # fmt: skip
         return PointFactors(
             cloud.points, self._covariances, targets, cloud.normals, map_normals, Q=self._Q
         )
-
-    def hosts(self, pairs: PointFactors) -> NDArray[np.int32]:
-        """Return the keyframes that host the Gaussians of the last association's matches."""
-        return np.asarray(self._gaussians.hosts[self._slots[pairs.targets.perp >= 0]])
 
 
 @dataclass(frozen=True)
@@ -94,7 +90,6 @@ class Registration:
     equations: NormalEquations  # both terms, at T_world_cam
     sharp_depth: NormalEquations  # the depth term along the normals only
     inliers: int  # points with a match
-    hosts: NDArray[np.int32]  # (inliers,) keyframes of the Gaussians that they match
     median_chi2: float  # of the depth factors; infinite where none has a match
 
     @property
@@ -169,9 +164,9 @@ def register(
     equations, chi2 = pairs.evaluated(T)
     if image is not None:
         equations = equations + image.normal_equations(T)
-    chi2, hosts = chi2[pairs.targets.perp >= 0], depth.hosts(pairs)
+    chi2 = chi2[pairs.targets.perp >= 0]
     median = float(np.median(chi2)) if len(chi2) else np.inf
-    return Registration(T, pairs, image, equations, sharp_depth, len(chi2), hosts, median)
+    return Registration(T, pairs, image, equations, sharp_depth, len(chi2), median)
 
 
 def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:
@@ -195,18 +190,19 @@ def _plane_covariances(cloud: FrameCloud) -> NDArray[np.float32]:
 
 @kernel
 def _gather(
-    slots, normals, T, min_cosine, means, map_normals, viewpoints, flatness, anchor, noise_a,
-    noise_b, shared, points, axes, perp, along, matched_normals,
+    slots, normals, T, min_cosine, means, map_normals, viewpoints, flatness, map_hosts, anchor,
+    noise_a, noise_b, shared, points, axes, perp, along, hosts, matched_normals,
 ):  # fmt: skip
     """Write the targets of N points: the Gaussians in `slots` whose normals agree.
 
     `slots` (N,) int32 or -1, `normals` (N, 3) unit, camera; `T` (4, 4) T_world_cam; of the map
-    `means`, `map_normals`, `viewpoints` (M, 3) metres, world, and `flatness` (M,); `anchor` p / f,
-    `noise_a` in metres, `noise_b` in 1/metre. Writes `points` and `axes` (N, 3), `perp` and
-    `along` (N,) as in `Targets`, and `matched_normals` (N, 3); `perp` is -1 without a match.
+    `means`, `map_normals`, `viewpoints` (M, 3) metres, world, `flatness` and `map_hosts` (M,);
+    `anchor` p / f, `noise_a` in metres, `noise_b` in 1/metre. Writes `points` and `axes` (N, 3),
+    `perp`, `along` and `hosts` (N,) as in `Targets`, and `matched_normals` (N, 3); without a match
+    `perp` is -1.
     """
     for i in range(slots.shape[0]):
-        perp[i] = -1.0
+        perp[i], hosts[i] = -1.0, -1
         j = slots[i]
         if j < 0:
             continue
@@ -220,6 +216,7 @@ def _gather(
         if not cosine >= min_cosine:
             continue
         points[i, 0], points[i, 1], points[i, 2] = means[j, 0], means[j, 1], means[j, 2]
+        hosts[i] = map_hosts[j]
         matched_normals[i, 0], matched_normals[i, 1], matched_normals[i, 2] = m0, m1, m2
         if shared:
             axes[i, 0], axes[i, 1], axes[i, 2] = m0, m1, m2

@@ -19,6 +19,7 @@ from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Keyframe, MapUpdate
 from .corners import spread
+from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
 from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
@@ -68,6 +69,7 @@ class Tracker:
         self._chain = KeyframeChain()  # and their covariances in the world
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
+        self._depth_bias = DepthBias(camera, self.config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
@@ -82,10 +84,11 @@ class Tracker:
         """
         self._check(frame)
         self._stamp_ns = frame.stamp_ns
+        received, frame = frame, self.corrected(frame)
         if not self._begun:
             return self._begin(frame)
-        repeated = self._received is not None and is_repetition(frame, self._received)
-        self._received = frame
+        repeated = self._received is not None and is_repetition(received, self._received)
+        self._received = received
         if repeated:
             return self._lost(frame)
         if self._relocalizer is None and self._memory.motion.is_gap(frame.stamp_ns):
@@ -114,6 +117,10 @@ class Tracker:
             self._anchor_landmarks(found.registered)
         return self._result(found, uncertainty, keyframe)
 
+    def corrected(self, frame: RgbdFrame) -> RgbdFrame:
+        """Return the frame with its depth as the tracker believes it (`DepthBias`)."""
+        return self._depth_bias.corrected(frame)
+
     def flush(self) -> tuple[Keyframe, ...]:
         """Hand over what no result has yet: the first keyframe, where no second frame came."""
         held, self._held = tuple(self._held), []
@@ -126,6 +133,7 @@ class Tracker:
         """
         self.gaussians, self._visited, self._begun = gaussians, list(poses), True
         self._chain.reset(len(poses))
+        self._depth_bias.reset(poses)
         self._memory = self._forgotten(ConstantVelocity.at_rest(poses[-1]))
         self.interrupt()
 
@@ -226,10 +234,11 @@ class Tracker:
         self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
         self._visited.clear()
         self._chain.reset(1)
+        self._depth_bias.reset(())
         self._limit = MotionLimit.begun(np.zeros((6, 6)), T_world_cam, frame.stamp_ns)
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
-        registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist)
+        registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist, twist)
         self._memory = replace(self._memory, last=registered, image=registered)
         return self._extend_map(registered, None)
 
@@ -266,7 +275,7 @@ class Tracker:
         best = relocalizer.best(depth, config, guesses)
         T = best.T_world_cam
         grey = to_grey(frame.color)
-        registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6))
+        registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
         found = Estimate(registered, best, Landmarks.none(), None, True)
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
@@ -300,6 +309,8 @@ class Tracker:
     def _accept(self, found: Estimate, evidence: Evidence) -> None:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
         if not evidence.doubtful:
+            if not self._unconfirmed:
+                self._depth_bias.observe(found.registration)
             self._unconfirmed = max(self._unconfirmed - 1, 0)
             if found.sees_depth(self.config):
                 self._usual = self._usual.with_frame(found.registration)
@@ -344,9 +355,10 @@ class Tracker:
             cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, self.keyframes,
             self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
         )  # fmt: skip
-        self._anchor_landmarks(registered)
+        self._anchor_landmarks(registered, self.keyframes)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         self._visited.append(T)
+        self._depth_bias.add_keyframe(T)
         return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, *self.gaussians.of(ids))
 
     def _runs_out_of_landmarks(self) -> bool:
@@ -359,14 +371,14 @@ class Tracker:
             return True
         return bool(np.any(left < 0.5 * spread_then - 1.0))
 
-    def _anchor_landmarks(self, registered: RegisteredFrame) -> None:
-        """Detect new landmarks, and anchor them in the map."""
+    def _anchor_landmarks(self, registered: RegisteredFrame, host: int = -1) -> None:
+        """Detect new landmarks, and anchor them in the map; `host` is the frame's keyframe."""
         if not self.config.uses_landmarks:
             return
         new = detect(
             registered.grey, registered.frame.depth_m, self.landmarks, registered.T_world_cam,
-            registered.T_cam_cam_at_depth, self.gaussians, self.camera, self.config.sensor,
-            self.config.landmarks, self.config.registration.anchor_px,
+            registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
+            self.config.sensor, self.config.landmarks, self.config.registration.anchor_px, host,
         )  # fmt: skip
         landmarks = self.landmarks.joined(new)
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
@@ -383,7 +395,8 @@ class Tracker:
     ) -> TrackResult:
         registered, result = found.registered, found.registration
         covariance = self._covariance(registered, uncertainty)
-        in_world = self._chain.in_world(registered.T_world_cam, covariance, result.hosts)
+        hosts = result.depth.targets.hosts
+        in_world = self._chain.in_world(registered.T_world_cam, covariance, hosts[hosts >= 0])
         if keyframe:
             self._chain.add(registered.T_world_cam, in_world)
         spectrum = observability(result.equations.H, uncertainty.information)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..camera import PinholeCamera
 from ..kernels.jit import kernel
 from ..kernels.small_matrix import inverse_symmetric
-from .factors import PointFactors
+from .factors import PointFactors, plane_residual
 from .registration import Registration
 
 _COLUMNS, _ROWS = 8, 6  # cells of the image: 80 px of 640x480
@@ -207,22 +207,8 @@ def _sum_depth(
             continue
         a0, a1, a2 = normals[i, 0], normals[i, 1], normals[i, 2]
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        w0 = T[0, 0] * a0 + T[0, 1] * a1 + T[0, 2] * a2
-        w1 = T[1, 0] * a0 + T[1, 1] * a1 + T[1, 2] * a2
-        w2 = T[2, 0] * a0 + T[2, 1] * a1 + T[2, 2] * a2
-        cosine = w0 * axes[i, 0] + w1 * axes[i, 1] + w2 * axes[i, 2]
-        c = covariances[i]
-        variance = (
-            c[0] * a0 * a0 + c[3] * a1 * a1 + c[5] * a2 * a2
-            + 2.0 * (c[1] * a0 * a1 + c[2] * a0 * a2 + c[4] * a1 * a2)
-            + perp[i] + (along[i] - perp[i]) * cosine * cosine
-        )  # fmt: skip
-        d = a0 * x + a1 * y + a2 * z
-        e = (
-            w0 * (targets[i, 0] - T[0, 3])
-            + w1 * (targets[i, 1] - T[1, 3])
-            + w2 * (targets[i, 2] - T[2, 3])
-            - d
+        variance, d, e = plane_residual(
+            points[i], covariances[i], normals[i], targets[i], axes[i], perp[i], along[i], T
         )
         m0, m1, m2 = map_normals[i, 0], map_normals[i, 1], map_normals[i, 2]
         b0 = T[0, 0] * m0 + T[1, 0] * m1 + T[2, 0] * m2

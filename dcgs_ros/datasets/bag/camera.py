@@ -53,7 +53,12 @@ from .recording import custom_data, first_messages, raw_messages
 from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
-_SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
+_SENSOR_ADDED = {
+    'depth_bias',
+    'depth_readout_ms',
+    'color_readout_ms',
+    'stamp_ms',
+}  # older recordings lack them
 _SIZED = 5  # images that tell the size of depth
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 

@@ -60,7 +60,9 @@ class SyntheticSource:
         self._lag_phases = np.random.default_rng((seed, _LAG_STREAM)).uniform(0, 2 * np.pi, 3)
         self.camera: PinholeCamera = self._kind.camera
         self._image_motion = ImageMotion(self._path, _RATE_HZ, self.camera.focal)
-        self.sensor: SensorNoise = self._depth_camera.noise
+        self.sensor: SensorNoise = replace(
+            self._depth_camera.noise, color_readout_ms=1e3 * self._kind.readout_s
+        )
         self.T_cam_imu = T_CAM_IMU  # IMU to colour camera
         # Camera to base, on wheels, but for vibration; None where a hand holds the camera.
         self.T_base_cam: NDArray[np.float64] | None = self._path.T_base_cam

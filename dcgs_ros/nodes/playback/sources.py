@@ -41,7 +41,9 @@ class FramePlayback:
     """Frames of a source, each due at the later one of its stamps."""
 
     def __init__(self, source: Source, camera_frame: str, warn: Callable[[str], None]) -> None:
-        """`warn` gets a line for each frame that cannot be read."""
+        """`warn` gets the source's notes, and a line for each frame that cannot be read."""
+        for note in source.notes:
+            warn(note)
         self._source = source
         self.camera_frame = camera_frame
         self._warn = warn

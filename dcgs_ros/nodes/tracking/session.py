@@ -158,7 +158,8 @@ class TrackingSession:
         used are moved on by a nanosecond or more.
         """
         assert self.tracker is not None
-        camera, chosen = self.tracker.camera, self._selector.select(frame, result)
+        camera, frame = self.tracker.camera, self.tracker.corrected(frame)
+        chosen = self._selector.select(frame, result)
         return [
             KeyframePacket(self.epoch, camera, self._with_new_stamp(posed), camera_frame)
             for posed in chosen

@@ -350,6 +350,7 @@ def test_a_run_that_tracks_nothing_fails_with_everything_written(
     assert done.err.splitlines()[-1].startswith(
         f'dcgs: nothing was tracked: the camera is lost in {6 - first} of 6 frames'
     )
+    assert "the depth lies in the sensor's range of 0.3 to 5 m" in done.err
     assert done.files() == (TRACKS if first else TRACKS - {'trajectory.png'})
     report = done.report()
     assert (report['tracked'], report['lost'], report['ate']) == (first, 6 - first, None)
@@ -404,6 +405,7 @@ def test_depth_in_another_unit_is_named_where_nothing_is_tracked(
     line = done.err.splitlines()[-1]
     assert "0% of the depth lies in the sensor's range of 0.3 to 5 m" in line
     assert 'at 1000 per metre' in line and '--depth-per-metre' in line
+    assert line.count('of the depth lies') == 1
 
 
 def test_wall_time_is_all_that_the_user_waited_for(

@@ -15,7 +15,6 @@ from tracked_room import SEEN, SOURCE, frames, tracker  # type: ignore[import-no
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
-from dcgs_ros.core.tracking.factors import Targets
 from dcgs_ros.core.tracking.landmarks import Landmarks
 
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.5)  # of the truth
@@ -39,9 +38,7 @@ def with_landmarks(shift: NDArray[np.float64]) -> Memory:
     """Return the memory with every landmark moved (3,) in the world."""
     memory = tracker()._memory
     targets = memory.landmarks.targets
-    moved = Targets(
-        targets.points + shift.astype(np.float32), targets.axes, targets.perp, targets.along
-    )
+    moved = replace(targets, points=targets.points + shift.astype(np.float32))
     return replace(memory, landmarks=replace(memory.landmarks, targets=moved))
 
 

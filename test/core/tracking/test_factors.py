@@ -26,6 +26,7 @@ FINITE_DIFFERENCE = 1e-6  # relative
 DENSE = 1e-6  # relative: points and covariances are float32
 EXACT = 1e-9  # relative, float64 throughout
 T_WORLD_CAM = se3.exp(np.array([0.4, -0.3, 0.2, 0.3, -0.8, 0.5]))
+HOST = np.zeros(1, np.int32)
 
 
 def spd(rng: np.random.Generator, count: int, sigma_m: float) -> NDArray[np.float64]:
@@ -50,6 +51,7 @@ def make_pairs(
         unit(rng.normal(size=(count, 3))).astype(np.float32),
         rng.uniform(0.1, 2, count).astype(np.float32) * np.float32(sigma_m**2),
         rng.uniform(0.1, 2, count).astype(np.float32) * np.float32(sigma_m**2),
+        np.zeros(count, np.int32),
     )
     rows, columns = np.triu_indices(3)
     covariances = spd(rng, count, sigma_m)[:, rows, columns].astype(np.float32)
@@ -153,7 +155,7 @@ def test_cost_grows_linearly_beyond_delta() -> None:
     half = np.array([0.5 * sigma_m**2], np.float32)
     for pull in (0.5, 1.9, 2.1, 10.0, 100.0):
         target = np.array([[pull * sigma_m, 0, 2]], np.float32)
-        targets = Targets(target, np.array([[0, 0, 1]], np.float32), half, half)
+        targets = Targets(target, np.array([[0, 0, 1]], np.float32), half, half, HOST)
         pairs = PointFactors(np.array([[0, 0, 2]], np.float32), covariances, targets, huber=delta)
         expected = pull**2 if pull < delta else 2 * delta * pull - delta**2
         equations = pairs.normal_equations(np.eye(4))
@@ -167,10 +169,11 @@ def test_cost_does_not_depend_on_the_world(seed: int = 3) -> None:
     pairs = make_pairs(seed)
     T = se3.exp(np.array([0.3, 0.2, -0.5, 1.0, 0.4, -0.2]))
     t = pairs.targets
-    turned = Targets(
-        (t.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32),
-        (t.axes @ T[:3, :3].T).astype(np.float32), t.perp, t.along,
-    )  # fmt: skip
+    turned = replace(
+        t,
+        points=(t.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32),
+        axes=(t.axes @ T[:3, :3].T).astype(np.float32),
+    )
     one = pairs.normal_equations(T_WORLD_CAM)
     other = replace(pairs, targets=turned).normal_equations(T @ T_WORLD_CAM)
     assert other.cost == pytest.approx(one.cost, rel=1e-4)
@@ -184,7 +187,7 @@ def test_what_has_no_target_does_not_count() -> None:
     t = pairs.targets
     perp = np.where(keep, t.perp, -1).astype(np.float32)
     points = np.where(keep[:, None], t.points, np.nan).astype(np.float32)
-    masked = replace(pairs, targets=Targets(points, t.axes, perp, t.along))
+    masked = replace(pairs, targets=replace(t, points=points, perp=perp))
     assert pairs.normals is not None
     kept = PointFactors(pairs.points[keep], pairs.covariances[keep], t[keep], pairs.normals[keep])
     for one, other in (
@@ -244,7 +247,9 @@ def test_across_rays_keeps_what_the_image_says() -> None:
     for direction, share in ((ray, 0.0), (across, 1.0)):
         target = (points + 0.05 * direction).astype(np.float32)
         pairs = PointFactors(
-            points, covariances, Targets(target, np.array([[0, 0, 1]], np.float32), zero, zero)
+            points,
+            covariances,
+            Targets(target, np.array([[0, 0, 1]], np.float32), zero, zero, HOST),
         )
         before = pairs.normal_equations(np.eye(4)).cost
         after = pairs.across_rays().normal_equations(np.eye(4)).cost
@@ -336,7 +341,9 @@ def test_observed_from_is_the_tracking_covariance() -> None:
     rng, sensor = np.random.default_rng(15), SensorNoise.structured_light()
     points = rng.uniform(-1, 1, (20, 3)).astype(np.float32)
     viewpoints = rng.uniform(2, 3, (20, 3)).astype(np.float32)
-    targets = observed_from(points, viewpoints, sensor, 0.5 / 525.0)
+    targets = observed_from(
+        points, viewpoints, sensor, 0.5 / 525.0, np.zeros(len(points), np.int32)
+    )
     rays = points.astype(np.float64) - viewpoints
     ranges = np.linalg.norm(rays, axis=1)
     along = (targets.along - targets.perp)[:, None, None] * (

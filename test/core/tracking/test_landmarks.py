@@ -33,6 +33,9 @@ DISTORTED = PinholeCamera(
 )
 T_WORLD_CAM = se3.exp(np.array([0.4, -0.3, 0.2, 0.3, -0.8, 0.5]))
 STILL = np.eye(4)
+AT_REST = np.zeros(6)
+KEYFRAME = 5
+SECOND_ORDER_PX = 0.1  # of the motion within a readout
 
 
 def image_of_blocks(seed: int, size: tuple[int, int] = (240, 320)) -> NDArray[np.uint8]:
@@ -78,10 +81,11 @@ def landmarks_at(
     facing = np.tile([0.0, 0.0, -1.0], (n, 1))
     variance = np.full(n, 1e-6, np.float32)
     axes = np.tile(np.array([0, 0, 1], np.float32), (n, 1))
+    hosts = np.zeros(len(at), np.int32)
     return Landmarks(
         at,
-        Targets(np.asarray(world, np.float32), axes, variance, variance),
-        cut(image, at, points, facing, STILL, PINHOLE),
+        Targets(np.asarray(world, np.float32), axes, variance, variance, hosts),
+        cut(image, at, points[:, 2], facing, STILL, PINHOLE),
     )
 
 
@@ -92,9 +96,11 @@ def measured(
     T_cam_cam_at_depth: NDArray[np.float64] = STILL,
     T_world_cam: NDArray[np.float64] = STILL,
     weight: float = 1.0,
+    twist: NDArray[np.float64] = AT_REST,
+    sensor: SensorNoise = SENSOR,
 ) -> PointFactors:
     return landmarks.measured(
-        depth_m, T_world_cam, T_cam_cam_at_depth, camera, SENSOR, CONFIG, weight
+        depth_m, T_world_cam, T_cam_cam_at_depth, twist, camera, sensor, CONFIG, weight
     )
 
 
@@ -108,8 +114,9 @@ def detected(
 ) -> Landmarks:
     alive = Landmarks.none() if alive is None else alive
     return detect(
-        grey, depth_m, alive, T_WORLD_CAM, STILL, gaussians, camera, SENSOR, config, ANCHOR_PX
-    )
+        grey, depth_m, alive, T_WORLD_CAM, STILL, AT_REST, gaussians, camera, SENSOR, config,
+        ANCHOR_PX, KEYFRAME,
+    )  # fmt: skip
 
 
 def map_about(camera: PinholeCamera, depth_m: NDArray[np.floating], seed: int) -> GaussianMap:
@@ -159,6 +166,7 @@ def test_a_landmark_inherits_the_covariance_of_its_gaussian() -> None:
     t = found.targets
     along = (t.along - t.perp)[:, None, None] * (t.axes[:, :, None] * t.axes[:, None, :])
     expected = gaussians.tracking_covariances(slots, SENSOR, ANCHOR_PX, PINHOLE.focal)
+    np.testing.assert_array_equal(t.hosts, gaussians.hosts[slots])
     np.testing.assert_allclose(
         t.perp[:, None, None] * np.eye(3) + along, expected, atol=1e-4 * expected.max()
     )
@@ -175,8 +183,37 @@ def test_far_from_any_gaussian_a_landmark_is_where_it_was_measured() -> None:
         x = to_world(lifted(PINHOLE, found.pixels, np.full(len(found), 1.2)), T_WORLD_CAM)
         assert len(found) > 50
         np.testing.assert_allclose(found.targets.points, x, atol=ON_PLANE_M)
-        own = observed_from(x.astype(np.float32), T_WORLD_CAM[:3, 3], SENSOR, ANCHOR_PX / 262.0)
+        assert (found.targets.hosts == KEYFRAME).all()
+        viewpoint, px = T_WORLD_CAM[:3, 3], ANCHOR_PX / 262.0
+        own = observed_from(x.astype(np.float32), viewpoint, SENSOR, px, found.targets.hosts)
         np.testing.assert_allclose(found.targets.covariances, own.covariances, rtol=1e-3)
+
+
+def test_a_rolling_shutter_is_undone() -> None:
+    """Each row sees the points from where the camera is then; all are wanted where it is."""
+    rng = np.random.default_rng(41)
+    readout_s, z = 0.03, 1.5
+    twist = np.array([0.3, -0.2, 0.4, 0.8, -1.2, 0.6])
+    pixels = rng.uniform((60, 40), (260, 200), (60, 2))
+    points = lifted(PINHOLE, pixels, np.full(60, z))
+    seen = pixels.copy()
+    for _ in range(6):
+        late_s = readout_s * ((seen[:, 1] + 0.5) / PINHOLE.height - 0.5)
+        seen = np.array(
+            [
+                PINHOLE.project(se3.transform(se3.exp(-dt * twist), p[None]))[0]
+                for dt, p in zip(late_s, points, strict=True)
+            ]
+        )
+    depth_m = np.full((240, 320), z, np.float32)
+    rolling = replace(SENSOR, color_readout_ms=1e3 * readout_s)
+    there = landmarks_at(seen, points)
+    off = [
+        np.abs(PINHOLE.project(measured(there, depth_m, twist=twist, sensor=s).points) - pixels)
+        for s in (rolling, SENSOR)
+    ]
+    assert off[0].max() < SECOND_ORDER_PX
+    assert off[1].max() > 20 * SECOND_ORDER_PX
 
 
 def test_corners_keep_their_distance_and_their_number() -> None:
@@ -324,8 +361,8 @@ def test_corners_follow_a_known_flow() -> None:
     normals = np.tile(np.array([0, 0, -1], np.float32), (len(world), 1))
     gaussians.add(world, normals, np.zeros(len(world), np.float32), np.zeros(3), 0)
     corners = detect(
-        previous, depth_m, Landmarks.none(), STILL, STILL, gaussians, PINHOLE, SENSOR, CONFIG,
-        ANCHOR_PX,
+        previous, depth_m, Landmarks.none(), STILL, STILL, AT_REST, gaussians, PINHOLE, SENSOR,
+        CONFIG, ANCHOR_PX, 0,
     )  # fmt: skip
     inside = np.all((corners.pixels > 30) & (corners.pixels < (290, 210)), axis=1)
     corners = corners[inside]

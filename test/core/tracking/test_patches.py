@@ -47,7 +47,7 @@ def of(
     T_world_cam: NDArray[np.float64] = STILL,
 ) -> Patches:
     points = lifted(camera, pixels)
-    return cut(image, pixels, points, np.tile(FACING, (len(pixels), 1)), T_world_cam, camera)
+    return cut(image, pixels, points[:, 2], np.tile(FACING, (len(pixels), 1)), T_world_cam, camera)
 
 
 def view(
@@ -171,7 +171,7 @@ def test_what_reaches_out_of_the_image_is_not_aligned() -> None:
     for pixels, expected in ((edge, False), (near, True)):
         points = lifted(PINHOLE, np.nan_to_num(pixels))
         facing = np.tile(FACING, (len(pixels), 1))
-        patches = cut(image, np.nan_to_num(pixels), points, facing, STILL, PINHOLE)
+        patches = cut(image, np.nan_to_num(pixels), points[:, 2], facing, STILL, PINHOLE)
         _, correlation = patches.aligned(image, pixels, points, STILL, PINHOLE, REACH_PX)
         assert ((correlation > ALIKE) == expected).all()
         assert expected or (correlation == -1.0).all()
@@ -205,7 +205,7 @@ def test_a_step_in_the_patch_is_a_pixel_on_its_surface() -> None:
     grazing = np.array([1.0, 0.0, -0.05])
     for normal in (slanted, grazing / np.linalg.norm(grazing)):
         normals = np.tile(normal, (len(places), 1))
-        patches = cut(texture(8), places, points, normals, born, PINHOLE)
+        patches = cut(texture(8), places, points[:, 2], normals, born, PINHOLE)
         tangents = patches.steps.astype(np.float64) @ born[:3, :3]
         for k, step in enumerate(np.eye(2)):
             there = points + tangents[:, k]

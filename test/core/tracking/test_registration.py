@@ -97,7 +97,10 @@ def landmarks_on(planes: tuple[Plane, ...], seed: int, count: int = 30) -> Point
     covariances = measurement_covariances(
         points, np.zeros_like(points), sensor, 1.0 / FOCAL_PX, 0.0
     )
-    targets = observed_from(world.astype(np.float32), np.zeros(3), sensor, 0.5 / FOCAL_PX)
+    targets = observed_from(
+        world.astype(np.float32), np.zeros(3), sensor, 0.5 / FOCAL_PX,
+        np.zeros(len(world), np.int32),
+    )  # fmt: skip
     return PointFactors(points, covariances, targets, huber=2.0)
 
 

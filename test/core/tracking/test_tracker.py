@@ -411,6 +411,16 @@ def test_the_first_keyframe_comes_with_the_second_frame_or_when_flushed() -> Non
     assert alone.flush() == ()
 
 
+def test_depth_is_tracked_and_handed_over_as_it_is_corrected() -> None:
+    frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
+    tracker._depth_bias._correct_by(np.full(5, 0.01))
+    tracker.track(frames[0])
+    (keyframe,) = tracker.flush()
+    corrected = tracker.corrected(frames[0]).depth_m
+    assert np.abs(corrected / np.maximum(frames[0].depth_m, 1e-3) - 1.0).max() > 0.01
+    np.testing.assert_array_equal(keyframe.frame.depth_m, corrected)
+
+
 def test_the_first_keyframe_comes_even_if_the_second_frame_is_lost() -> None:
     frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
     tracker.track(frames[0])

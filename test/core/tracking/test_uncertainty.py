@@ -61,8 +61,9 @@ def pairs_of(
     world = (points + residuals[:, None] * normals) @ R.T + t
     half = np.full(n, 0.5 * SIGMA_M**2, np.float32)
     targets = Targets(
-        world.astype(np.float32), np.tile(np.array([0, 0, 1], np.float32), (n, 1)), half, half
-    )
+        world.astype(np.float32), np.tile(np.array([0, 0, 1], np.float32), (n, 1)), half, half,
+        np.zeros(n, np.int32),
+    )  # fmt: skip
     isotropic = np.array([1, 0, 0, 1, 0, 1], np.float32) * np.float32(0.5 * SIGMA_M**2)
     return PointFactors(
         points.astype(np.float32), np.tile(isotropic, (n, 1)), targets,
@@ -77,9 +78,7 @@ def registered(depth: PointFactors, image: PointFactors | None = None) -> Regist
     if image is not None:
         equations = sharp_depth + image.normal_equations(T_WORLD_CAM)
     n = len(depth.points)
-    return Registration(
-        T_WORLD_CAM, depth, image, equations, sharp_depth, n, np.zeros(n, np.int32), 1.0
-    )
+    return Registration(T_WORLD_CAM, depth, image, equations, sharp_depth, n, 1.0)
 
 
 def uncertainty(
@@ -107,7 +106,7 @@ def landmarks(count: int = 40, seed: int = 3) -> PointFactors:
     variance = np.full(count, 2e-6, np.float32)
     targets = Targets(
         world.astype(np.float32), np.tile(np.array([0, 0, 1], np.float32), (count, 1)), variance,
-        variance,
+        variance, np.zeros(count, np.int32),
     )  # fmt: skip
     covariances = np.tile(np.array([2, 0, 0, 2, 0, 2], np.float32) * np.float32(1e-6), (count, 1))
     return PointFactors(points.astype(np.float32), covariances, targets, huber=2.0)
@@ -219,7 +218,7 @@ def test_the_scale_of_omega_does_not_matter() -> None:
     t, k = pairs.targets, np.float32(1e5)
     other = replace(
         pairs, covariances=k * pairs.covariances,
-        targets=Targets(t.points, t.axes, k * t.perp, k * t.along),
+        targets=replace(t, perp=k * t.perp, along=k * t.along),
     )  # fmt: skip
     one = pose_uncertainty(registered(pairs), CAMERA)
     two = pose_uncertainty(registered(other), CAMERA, variance=1.0 / float(k))

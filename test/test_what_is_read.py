@@ -27,8 +27,11 @@ ROWS: dict[str, tuple[Iterable[str], str]] = {  # names from the code, and what 
     'transports of depth': (DEPTH_TRANSPORTS, 'in bags and by `node.depth_transport`'),
     'compressed colour': (CODECS['colour'], 'with the colours of the file; Bayer mosaics too'),
     'compressed depth': (CODECS['depth'], '16UC1, or 32FC1 as inverse depth'),
-    'lenses (CameraInfo)': (filter(None, ros_images._LENS_MODELS), 'any where all is zero'),
-    'sizes': ((), f'16 to {ros_images._MAX_SIDE} pixels a side'),
+    'lenses (CameraInfo)': (
+        [*filter(None, ros_images._LENS_MODELS), *ros_images._FISHEYE_MODELS],
+        'up to 14 coefficients; any model where all are zero; rectified images have none',
+    ),
+    'sizes': ((), f'16 to {ros_images._MAX_SIDE} pixels a side; depth of any beside colour'),
     'files and folders': ([*(f.layout for f in FORMATS), LAYOUT], 'see above and below'),
 }
 

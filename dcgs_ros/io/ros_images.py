@@ -131,15 +131,19 @@ def in_metres(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(depth_m > 0, depth_m, np.nan).astype('<f4')
 
 
-def read_camera(info: Any) -> Camera:
+def read_camera(info: Any, rectified: bool = False) -> Camera:
     """Return the camera of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
 
+    It describes the lens as it is; `rectified` images have P's matrix, and no distortion.
     If all coefficients are zero, the lens model may have any name. Raises `MessageError` for an
     unknown lens model, skew or an implausible size, and `CameraError` for invalid intrinsics.
     """
     size = _size(info)
     matrix = info.k if hasattr(info, 'k') else info.K
     distortion = info.d if hasattr(info, 'd') else info.D
+    if rectified:
+        P = info.p if hasattr(info, 'p') else info.P
+        matrix, distortion = [*P[:3], *P[4:7]] if P[0] else matrix, ()
     fx, skew, cx, _, fy, cy = (float(value) for value in matrix[:6])
     if skew != 0:
         raise MessageError(f'camera matrix has a skew of {skew:.6g} pixels, not 0')

@@ -210,6 +210,15 @@ def test_capital_names_of_ros_1_are_read_as_well() -> None:
     assert read_camera(old) == read_camera(new)
 
 
+@pytest.mark.parametrize('name', ['p', 'P'])
+def test_of_rectified_images_the_matrix_is_that_of_p(name: str) -> None:
+    P = np.array([500.0, 0, 320.5, -25.0, 0, 501.0, 240.5, 0, 0, 0, 1, 0])
+    rectified = read_camera(info(**{name: P}), rectified=True)
+    assert rectified == PinholeCamera(640, 480, 500.0, 501.0, 320.5, 240.5)
+    unset = read_camera(info(**{name: np.zeros(12)}), rectified=True)
+    assert unset == PinholeCamera(640, 480, 525.0, 526.0, 319.5, 239.5)
+
+
 @pytest.mark.parametrize(
     ('changes', 'reason'),
     [

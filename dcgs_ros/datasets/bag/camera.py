@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +48,7 @@ from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
 _SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
+_DAMAGED = 30  # images at the beginning
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 
@@ -100,14 +103,13 @@ def find_camera(
     """
     topics = camera_topics(path, color_topic, depth_topic)
     try:
-        first = first_messages(path, (topics.color, topics.depth))
-        for topic in (topics.color, topics.depth):
-            if topic not in first:
-                raise SourceError(f'no message of {topic} can be read')
-        _check_encodings(topics, first)
+        first = {
+            topics.color: _first_image(path, topics.color, read_color),
+            topics.depth: _first_image(path, topics.depth, read_depth),
+        }
         color = _color_camera(path, text, topics, first)
         sizes = [image_size(first[topic]) for topic in (topics.color, topics.depth)]
-        depth, _ = first_camera(path, topics.depth_info)
+        depth, _ = first_camera(path, topics, topics.depth_info)
         asked = options.depth_registration
         registered = _registration(path, topics, first, sizes, color, depth, asked)
         sensor = _find_sensor(path, text, registered, depth)
@@ -123,15 +125,24 @@ def find_camera(
         raise SourceError(f'{path}: {error}') from error
 
 
-def _check_encodings(topics: CameraTopics, first: dict[str, Any]) -> None:
-    """Raise `SourceError` where no image of a topic can be read; one that is damaged may."""
-    for topic, read in ((topics.color, read_color), (topics.depth, read_depth)):
-        try:
-            read(first[topic])
-        except UnknownEncodingError as error:
-            raise SourceError(f'{topic}: {error}') from error
-        except (FrameError, MessageError):
-            pass
+def _first_image(path: Path | str, topic: str, read: Callable[[Any], object]) -> Any:
+    """Return the first image that can be read, of the first few, or else the first one.
+
+    Raises `SourceError` where there is none, and where none is encoded so that it can be read.
+    """
+    found = []
+    with suppress(DamagedError):  # reported with the frames
+        for message in islice(raw_messages(path, [topic]), _DAMAGED):
+            with suppress(FrameError, MessageError):
+                found.append(decode(message.cdr, message.type))
+                try:
+                    read(found[-1])
+                except UnknownEncodingError as error:
+                    raise SourceError(f'{topic}: {error}') from error
+                return found[-1]
+    if not found:
+        raise SourceError(f'no message of {topic} can be read')
+    return found[0]
 
 
 def _color_camera(
@@ -141,7 +152,7 @@ def _color_camera(
         return PRESETS[text].camera
     if text is not None:
         return parse_intrinsics(text, *image_size(first[topics.color]))
-    camera, error = first_camera(path, topics.camera_info)
+    camera, error = first_camera(path, topics, topics.camera_info)
     if camera is not None:
         return camera
     what = f'no CameraInfo beside {topics.color}'
@@ -152,7 +163,9 @@ def _color_camera(
     )
 
 
-def first_camera(path: Path | str, topic: str | None) -> tuple[Camera | None, DcgsError | None]:
+def first_camera(
+    path: Path | str, topics: CameraTopics, topic: str | None
+) -> tuple[Camera | None, DcgsError | None]:
     """Return the camera of the first usable CameraInfo, or None and why the first one is not.
 
     Drivers send intrinsics of zero until they have read the calibration.
@@ -161,7 +174,8 @@ def first_camera(path: Path | str, topic: str | None) -> tuple[Camera | None, Dc
     with suppress(DamagedError):  # reported with the frames
         for message in raw_messages(path, [topic] if topic else []):
             try:
-                return read_camera(decode(message.cdr, message.type)), None
+                info = decode(message.cdr, message.type)
+                return read_camera(info, topics.is_rectified(topic)), None
             except (MessageError, CameraError) as error:
                 first_error = first_error or error
     return None, first_error

@@ -66,7 +66,11 @@ def read_contents(
     Raises `SourceError` if no colour and depth image are a pair, or stamps are missing.
     """
     stamps: dict[str, list[int]] = {topics.color: [], topics.depth: []}
-    infos = {topic: _InfoReader() for topic in (topics.camera_info, topics.depth_info) if topic}
+    infos = {
+        topic: _InfoReader(topics.is_rectified(topic))
+        for topic in (topics.camera_info, topics.depth_info)
+        if topic
+    }
     poses: dict[int, NDArray[np.float64]] = {}
     lost = []
     number = 0
@@ -98,9 +102,10 @@ def read_contents(
 class _InfoReader:
     """Reads the CameraInfo of a topic, each of which mostly repeats the last one."""
 
-    def __init__(self) -> None:
-        """Begin."""
+    def __init__(self, rectified: bool) -> None:
+        """`rectified` are the images that they belong to."""
         self.timeline = CameraTimeline()
+        self._rectified = rectified
         self._last = b''
 
     def read(self, message: RawMessage) -> None:
@@ -109,7 +114,7 @@ class _InfoReader:
             return
         self._last = message.cdr[_AFTER_STAMP:]
         with suppress(MessageError, CameraError):
-            camera = read_camera(decode(message.cdr, message.type))
+            camera = read_camera(decode(message.cdr, message.type), self._rectified)
             self.timeline.add(read_header(message.cdr)[0], camera)
 
 

@@ -16,6 +16,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from ...core.camera import PinholeCamera
 from ...core.frame import RgbdFrame
 from ...core.lens_camera import Camera
+from ...datasets.bag.streams import Stream as Images
 from ...datasets.images.camera_timeline import CameraTimeline, is_another
 from ...datasets.images.registration import (
     Registration,
@@ -62,10 +63,12 @@ class FrameReader:
 
     def on_info(self, kind: str, info: CameraInfo) -> None:
         """Take the intrinsics of 'color' or 'depth'; raises a `DcgsError` for unusable ones."""
-        fields = info.width, info.height, info.distortion_model, info.k.tobytes(), bytes(info.d)
+        lens = info.distortion_model, info.k.tobytes(), bytes(info.d), info.p.tobytes()
+        fields = info.width, info.height, lens
         if self._repeated.get(kind) == fields:
             return
-        camera = read_camera(info)
+        images = Images(self._topics[0 if kind == 'color' else 1])
+        camera = read_camera(info, images.is_rectified)
         self._repeated[kind] = fields
         with self._lock:
             self._cameras[kind].add(stamp_ns(info.header.stamp), camera)

@@ -173,14 +173,20 @@ def depth_entry(
 
 
 def info_entry(
-    stamp_ns: int, camera: PinholeCamera | LensCamera, topic: str = INFO, zoom: float = 1.0
+    stamp_ns: int,
+    camera: PinholeCamera | LensCamera,
+    topic: str = INFO,
+    zoom: float = 1.0,
+    rectified_fx: float = 0.0,
 ) -> Entry:
-    """Return a CameraInfo with K, whose focal lengths are multiplied by `zoom`, and D."""
+    """Return a CameraInfo with K, whose focal lengths are multiplied by `zoom`, D, and maybe P."""
     name = 'sensor_msgs/msg/CameraInfo'
     K = np.array([zoom * camera.fx, 0, camera.cx, 0, zoom * camera.fy, camera.cy, 0, 0, 1.0])
     model = 'plumb_bob' if len(camera.distortion) <= 5 else 'rational_polynomial'
     if isinstance(camera, LensCamera) and camera.fisheye:
         model = 'equidistant'
+    P = np.zeros(12)
+    P[[0, 2, 5, 6, 10]] = rectified_fx, camera.cx, rectified_fx, camera.cy, 1
     message = TYPES.types[name](
         header=header(stamp_ns, OPTICAL),
         height=camera.height,
@@ -189,7 +195,7 @@ def info_entry(
         d=np.array(camera.distortion),
         k=K,
         r=np.eye(3).ravel(),
-        p=np.zeros(12),
+        p=P,
         binning_x=0,
         binning_y=0,
         roi=TYPES.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),

@@ -32,9 +32,10 @@ Source = Annotated[
     Positional[str],
     arg(
         metavar='SOURCE',
-        help='The sequence: a TUM, Bonn, ScanNet, Replica, 7-Scenes or ICL-NUIM folder, a .sens '
-        'file, or a folder with a dcgs.yaml; a rosbag2 folder, .mcap, .db3 or ROS 1 .bag, '
-        'optionally with ?color=TOPIC&depth=TOPIC; or synthetic:room|plane|zigzag|desk|corridor|'
+        help='The sequence: a TUM, Bonn, ScanNet, Replica, 7-Scenes, ICL-NUIM or Stray Scanner '
+        'folder, a .sens file, or a folder with a dcgs.yaml; a rosbag2 folder, .mcap, .db3 or '
+        'ROS 1 .bag, optionally with ?color=TOPIC&depth=TOPIC; any of these with '
+        '?depth_per_metre=1000 ...; or synthetic:room|plane|zigzag|desk|corridor|'
         'ring, optionally with ?frames=300&seed=0&sensor=kinect|d435i|ideal|d435i_measured|'
         'kinect_measured&speed=1&light=1&motion=wheeled|handheld. See docs/datasets.md.',
     ),

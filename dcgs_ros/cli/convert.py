@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -42,6 +42,7 @@ class _FrameFilter:
 
     stamps_ns: list[int] = field(default_factory=list)
     bad: list[BadFrame] = field(default_factory=list)
+    depth_stamps_ns: set[int] = field(default_factory=set)
 
     def good(
         self, items: Iterable[RgbdFrame | BadFrame], stopped: Callable[[], bool]
@@ -57,10 +58,17 @@ class _FrameFilter:
                 self.bad.append(item)
             else:
                 self.stamps_ns.append(item.stamp_ns)
-                yield item
+                yield self._with_own_depth(item)
         if not self.stamps_ns:
             first = f'; the first: {self.bad[0].name}: {self.bad[0].reason}' if self.bad else ''
             raise SourceError(f'no usable frame: {len(self.bad)} skipped{first}')
+
+    def _with_own_depth(self, frame: RgbdFrame) -> RgbdFrame:
+        """Move depth that has served another colour by a nanosecond: readers pair one to one."""
+        while frame.depth_stamp_ns in self.depth_stamps_ns:
+            frame = replace(frame, depth_stamp_ns=frame.depth_stamp_ns + 1)
+        self.depth_stamps_ns.add(frame.depth_stamp_ns)
+        return frame
 
 
 def execute(arguments: ConvertArguments) -> int:

@@ -17,6 +17,7 @@ from .scannet import source as scannet
 from .source import Source, SourceError
 from .tum import source as tum
 from .undescribed import source as undescribed
+from .undescribed.layout import why_unreadable
 
 
 class Format(NamedTuple):
@@ -77,6 +78,8 @@ def open_source(
         raise SourceError(
             f'{address}: no such folder or file, and no address that begins with synthetic:'
         )
+    if (reason := why_unreadable(path)) is not None:
+        raise SourceError(reason)
     layouts = '; or '.join([*(format_.layout for format_ in FORMATS), bag.LAYOUT])
     what = 'folder' if path.is_dir() else 'file'
     raise SourceError(f'{address} is a {what} of unknown format. Known formats: {layouts}')

@@ -21,10 +21,7 @@ from .whole_files import replacing
 QUATERNION_NORM_TOLERANCE = 1e-2
 
 _STAMP_LIMIT_NS = 2**62  # 146 years: the difference of two stamps still fits 64 bits
-# Nanoseconds in a unit of a whole number of so many digits: time since 1970 has 10 in seconds, 13
-# in milliseconds, 16 in microseconds, 19 in nanoseconds.
-_UNIT_NS = dict.fromkeys((12, 13, 14), 10**6) | dict.fromkeys((15, 16, 17), 10**3)
-_UNIT_NS |= dict.fromkeys((18, 19), 1)
+_SINCE_1970_NS = range(10**18, 21 * 10**17)  # times from 2001 to 2036
 _EUROC_COLUMNS = 17  # with velocity and biases after the pose
 
 
@@ -35,13 +32,15 @@ class TrajectoryFileError(DcgsError):
 def parse_stamp_ns(text: str) -> int:
     """Parse seconds as decimal text to integer nanoseconds, without rounding to a float.
 
-    Whole numbers of 12 digits or more are milliseconds, microseconds or nanoseconds, whichever
-    is a time since 1970. Raises `ValueError` for anything but a finite number within 146 years of
-    zero.
+    Whole numbers of 11 digits or more are milliseconds or microseconds where that is a time of
+    these years, else nanoseconds. Raises `ValueError` for anything but a finite number within 146
+    years of zero.
     """
+    if re.fullmatch('[0-9]{11,19}', text):
+        scales = (scale for scale in (10**6, 10**3) if int(text) * scale in _SINCE_1970_NS)
+        text = format_stamp_ns(int(text) * next(scales, 1))
     try:
-        unit_ns = _UNIT_NS.get(len(text)) if re.fullmatch('[0-9]+', text) else None
-        seconds = Decimal(text) if unit_ns is None else Decimal(text).scaleb(-9) * unit_ns
+        seconds = Decimal(text)
     except InvalidOperation:
         raise ValueError(f'{text!r} is no time in seconds') from None
     if not seconds.is_finite() or seconds.adjusted() > 10:
@@ -69,25 +68,7 @@ def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
     lines none.
     """
     path = Path(path)
-    poses: dict[int, list[float]] = {}
-    faults: list[str] = []
-    latest_ns, late = -_STAMP_LIMIT_NS, 0
-    for number, words in data_rows(path, scalar_last=True):
-        try:
-            stamp_ns, row = parse_pose(words)
-            if stamp_ns in poses or (left_out is None and stamp_ns < latest_ns):
-                raise ValueError(
-                    f'stamp {format_stamp_ns(stamp_ns)} does not come after '
-                    f'{format_stamp_ns(latest_ns)}'
-                )
-        except ValueError as error:
-            faults.append(f'{path}:{number}: {error}')
-            if left_out is None:
-                break
-            continue
-        late += stamp_ns < latest_ns
-        latest_ns = max(latest_ns, stamp_ns)
-        poses[stamp_ns] = row
+    poses, faults, late = _read_poses(path, strict=left_out is None)
     if faults and (left_out is None or len(faults) > len(poses)):
         raise TrajectoryFileError(faults[0])
     if not poses:
@@ -95,6 +76,33 @@ def read_tum(path: Path | str, left_out: list[str] | None = None) -> Trajectory:
     if left_out is not None:
         left_out += _notes(path, faults, len(poses), late)
     return trajectory_of(poses)
+
+
+def _read_poses(path: Path, strict: bool) -> tuple[dict[int, list[float]], list[str], int]:
+    """Return poses by their stamps, the faults of lines, and how many came late.
+
+    If it is `strict`, a late one is a fault, and nothing is read after the first.
+    """
+    poses: dict[int, list[float]] = {}
+    faults: list[str] = []
+    latest_ns, late = -_STAMP_LIMIT_NS, 0
+    for number, words in data_rows(path, scalar_last=True):
+        try:
+            stamp_ns, row = parse_pose(words)
+            if stamp_ns in poses or (strict and stamp_ns < latest_ns):
+                raise ValueError(
+                    f'stamp {format_stamp_ns(stamp_ns)} does not come after '
+                    f'{format_stamp_ns(latest_ns)}'
+                )
+        except ValueError as error:
+            faults.append(f'{path}:{number}: {error}')
+            if strict:
+                break
+            continue
+        late += stamp_ns < latest_ns
+        latest_ns = max(latest_ns, stamp_ns)
+        poses[stamp_ns] = row
+    return poses, faults, late
 
 
 def trajectory_of(poses: Mapping[int, Sequence[float]]) -> Trajectory:
@@ -134,8 +142,8 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
 def data_rows(path: Path, scalar_last: bool = False) -> Iterator[tuple[int, list[str]]]:
     """Yield number and words of each line of a table that is no comment, heading or empty.
 
-    Words are separated by blanks or commas. With `scalar_last`, the words are poses: in a table
-    whose heading names w as the first part of the quaternion, it becomes the last. Raises
+    Words are separated by blanks, commas or semicolons. With `scalar_last`, they are poses: in a
+    table whose heading names w as the first part of the quaternion, it becomes the last. Raises
     `TrajectoryFileError` if the file cannot be read.
     """
     try:
@@ -147,7 +155,7 @@ def data_rows(path: Path, scalar_last: bool = False) -> Iterator[tuple[int, list
         words = _words(line)
         if not words:
             continue
-        if line.lstrip().startswith('#') or not (begun or re.search('[0-9]', words[0])):
+        if line.lstrip().startswith('#') or not (begun or _is_number(words[0])):
             heading += f' {line.lower()}'
             continue
         begun = True
@@ -158,8 +166,16 @@ def data_rows(path: Path, scalar_last: bool = False) -> Iterator[tuple[int, list
 
 def _words(line: str) -> list[str]:
     words = line.split()
-    with_commas = len(words) == 1 or any(word.endswith(',') for word in words)
-    return line.replace(',', ' ').split() if with_commas else words
+    separated = len(words) == 1 or any(word.endswith((',', ';')) for word in words)
+    return re.sub('[,;]', ' ', line).split() if separated else words
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_scalar_first(heading: str, words: list[str]) -> bool:

@@ -24,6 +24,8 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.bag.writing.storage import STORAGES
 from dcgs_ros.datasets.custom import open_custom
+from dcgs_ros.datasets.open import open_source
+from dcgs_ros.datasets.options import SourceOptions
 from dcgs_ros.datasets.source import Source
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.datasets.tum.source import open_tum
@@ -81,6 +83,20 @@ def test_real_depth_survives_bit_for_bit(data_dir: Path, tmp_path: Path) -> None
         assert (a.stamp_ns, a.depth_stamp_ns) == (b.stamp_ns, b.depth_stamp_ns)
         np.testing.assert_array_equal(a.color, b.color)
         np.testing.assert_array_equal(a.depth_m, b.depth_m)
+
+
+@pytest.mark.parametrize('dest', ['bag', 'out.tum'])
+def test_depth_that_serves_two_colours_still_does(
+    tum_folder: Writer, tmp_path: Path, dest: str
+) -> None:
+    folder = tum_folder(frames=4)
+    rows = [f'{100 + 0.03 * k:.3f} rgb/{k}.png 100.01 depth/0.png' for k in range(3)]
+    (folder / 'associations.txt').write_text('\n'.join(rows))
+    assert convert(folder, tmp_path / dest, '--camera', SMALL, '--depth-per-metre', '5000') == 0
+    source = open_source(str(tmp_path / dest), options=SourceOptions(sync_slop_s=0.06))
+    frames = [frame for frame in source if isinstance(frame, RgbdFrame)]
+    assert len(frames) == 3
+    assert {frame.depth_stamp_ns // 1000 for frame in frames} == {100_010_000}
 
 
 def test_the_summary_names_what_was_skipped_and_lost(

@@ -27,6 +27,7 @@ from running import WALL, Run, held_still, lines_of, run_into  # type: ignore[im
 
 from dcgs_ros.cli.main import main
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.datasets.bag.writing.frame_encoder import encode_image
 from dcgs_ros.datasets.open import open_source
 
 Writer = Callable[..., Path]
@@ -89,6 +90,22 @@ def test_the_unit_of_a_recording_is_shown_and_can_be_told(
         assert lines['depth unit'].startswith(f'{unit:g} per metre')
         assert 'warning' not in lines
         assert lines['depth range'].endswith('median 1.55')
+
+
+@pytest.mark.parametrize(('near', 'warned'), [(0.1, False), (0.5, True)])
+def test_depth_nearer_than_the_sensor_measures_is_warned_of(
+    tum_folder: Writer, capsys: pytest.CaptureFixture[str], near: float, warned: bool
+) -> None:
+    """Millimetres read as TUM's unit: the far half of a room is still in the range."""
+    folder = tum_folder(frames=1)
+    depth_mm = np.full((48, 64), 2000, np.uint16)
+    depth_mm.flat[: int(near * depth_mm.size)] = 1000
+    (folder / 'depth' / '0.png').write_bytes(encode_image('.png', depth_mm))
+    lines = info_of(capsys, str(folder), *SMALL)
+    assert ('warning' in lines) == warned
+    if warned:
+        assert '50% is nearer; the median is' in lines['warning']
+        assert lines['warning'].endswith('With --depth-per-metre 1000 it would be 100%')
 
 
 @pytest.mark.slow
@@ -229,6 +246,14 @@ def test_missing_stamps_need_a_rate(tum_folder: Writer, tmp_path: Path, kind: st
     assert done.status == 0, done.err
     assert done.report()['tracked'] == 9
     assert done.frames()[8]['stamp'] == '0.266666667'
+
+
+def test_images_with_one_stamp_are_told_apart_by_their_order(tmp_path: Path) -> None:
+    bag = wall_bag(tmp_path / 'bag', [0] * 4, WALL_MM, '16UC1')
+    frames = [item for item in open_source(f'{bag}?rate_hz=10') if isinstance(item, RgbdFrame)]
+    assert [frame.stamp_ns for frame in frames] == [k * 10**8 for k in range(4)]
+    for k, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.color, color_of(k))
 
 
 def test_the_rate_pairs_images_by_order_and_says_where_some_are_missing(tmp_path: Path) -> None:

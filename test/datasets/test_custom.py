@@ -19,6 +19,7 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.camera_presets import PRESETS
 from dcgs_ros.datasets.custom import is_custom, open_custom, write_description
+from dcgs_ros.datasets.options import SourceOptions
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.datasets.tum.source import open_tum
 from dcgs_ros.io.trajectory import format_stamp_ns
@@ -134,6 +135,18 @@ def test_arguments_go_before_the_file(folder: Path, tmp_path: Path) -> None:
     assert source.sensor.a_m == 0.002
     assert source.groundtruth is not None
     assert source.groundtruth.stamps_ns.tolist() == [5_000_000_000]
+
+
+def test_the_options_are_keys_too_and_those_given_go_first(folder: Path) -> None:
+    change(folder, depth_per_metre=None)
+    source = open_custom(folder, options=SourceOptions(depth_per_metre=500, rate_hz=10))
+    assert source.depth_per_metre == 500
+    assert [pair.color.stamp_ns for pair in source.pairs] == [0, 10**8, 2 * 10**8]
+    change(folder, stamps='names', rate_hz=None, sync_slop_s=0.01)
+    for name, stamp in (('8', '8.05'), ('9', '9.009'), ('10', '10')):
+        (folder / f'depth/{name}.png').rename(folder / f'depth/{stamp}.png')
+    assert len(open_custom(folder).pairs) == 2
+    assert len(open_custom(folder, options=SourceOptions(sync_slop_s=0.06)).pairs) == 3
 
 
 NUMBERS = st.floats(1e-6, 1e6)

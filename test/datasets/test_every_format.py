@@ -119,6 +119,47 @@ def as_scannet(folder: Path, walk: Walk) -> Written:
     return folder, ()
 
 
+def as_semantic_nerf(folder: Path, walk: Walk) -> Written:
+    for k, (frame, _) in enumerate(walk):
+        folders.write_image(folder / f'rgb/rgb_{k}.png', frame.color)
+        folders.write_image(folder / f'depth/depth_{k}.png', raw(frame, 1000))
+    rows = ''.join(folders.matrix_row(T) + '\n' for _, T in walk)
+    (folder / 'traj_w_c.txt').write_text(rows)
+    return folder, ('--camera', INTRINSICS)
+
+
+def as_stray_scanner(folder: Path, walk: Walk) -> Written:
+    rows = 'timestamp, frame, x, y, z, qx, qy, qz, qw\n'
+    folder.mkdir()
+    video = cv2.VideoWriter(
+        str(folder / 'rgb.mp4'),
+        cv2.VideoWriter.fourcc(*'mp4v'),
+        30,
+        (2 * CAMERA.width, 2 * CAMERA.height),
+    )
+    for k, (frame, T) in enumerate(walk):
+        bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
+        video.write(cv2.resize(bgr, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
+        folders.write_image(folder / f'depth/{k:06d}.png', raw(frame, 1000))
+        stamp, *pose = tum_row(f'{frame.stamp_ns * 1e-9:.9f}', T).split()
+        rows += ', '.join([stamp, f'{k:06d}', *pose]) + '\n'
+    video.release()
+    (folder / 'odometry.csv').write_text(rows)
+    fx, fy, cx, cy = 2 * CAMERA.fx, 2 * CAMERA.fy, 2 * CAMERA.cx + 0.5, 2 * CAMERA.cy + 0.5
+    (folder / 'camera_matrix.csv').write_text(f'{fx}, 0, {cx}\n0, {fy}, {cy}\n0, 0, 1\n')
+    return folder, ()
+
+
+def as_stamped_names(folder: Path, walk: Walk) -> Written:
+    written = as_tum(folder, walk)
+    for kind in ('rgb', 'depth'):
+        for k, (frame, _) in enumerate(walk):
+            path = folder / f'{kind}/{k}.png'
+            path.rename(path.with_name(f'{frame.stamp_ns * 1e-9:.9f}.png'))
+        (folder / f'{kind}.txt').unlink()
+    return written
+
+
 def as_icl_nuim(folder: Path, walk: Walk) -> Written:
     folder = folder.with_name('living_room_traj0_frei_png')
     rows = truth = ''
@@ -155,6 +196,7 @@ def as_ros1(folder: Path, walk: Walk) -> Written:
 
 WRITERS: list[Callable[[Path, Walk], Written]] = [
     as_tum, as_custom, as_replica, as_scannet, as_icl_nuim, as_rosbag2, as_ros1,
+    as_semantic_nerf, as_stray_scanner, as_stamped_names,
 ]  # fmt: skip
 
 

@@ -125,6 +125,14 @@ def test_two_truths_are_one_too_many(living_room: Path) -> None:
         open_icl_nuim(living_room)
 
 
+def test_rows_may_be_in_any_order_and_repeated(living_room: Path) -> None:
+    path = living_room / 'associations.txt'
+    before = open_icl_nuim(living_room, SMALL).pairs
+    rows = path.read_text().splitlines()
+    path.write_text('\n'.join([*reversed(rows), rows[0]]))
+    assert list(open_icl_nuim(living_room, SMALL).pairs) == list(before)
+
+
 @pytest.mark.parametrize(
     ('line', 'reason'),
     [

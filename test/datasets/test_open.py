@@ -11,9 +11,17 @@ import pytest
 from bags import recording, write_bag  # type: ignore[import-not-found]
 
 from dcgs_ros.datasets.images.sequence import ImageSequence
-from dcgs_ros.datasets.open import open_source
+from dcgs_ros.datasets.open import FORMATS, open_source
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
+
+
+def test_every_format_is_in_the_documentation() -> None:
+    text = (Path(__file__).parents[2] / 'docs/datasets.md').read_text()
+    for format_ in FORMATS:
+        names = format_.layout.rpartition('(')[2].rstrip(')').removeprefix("NICE-SLAM's ")
+        if 'docs' not in names and '--camera' not in names:  # described by the user
+            assert all(name in text for name in names.split(', ')), names
 
 
 def test_a_folder_is_read_as_tum(tum_folder: Callable[..., Path]) -> None:

@@ -92,6 +92,13 @@ def test_frames_without_depth_or_pose_are_told(export: Path) -> None:
     assert source.groundtruth.stamps_ns.tolist() == [0, 100_000_000, 300_000_000, 400_000_000]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['odometry.csv', 'camera_matrix.csv', 'rgb.mp4'])
+def test_no_mutant_of_its_files_does_harm(export: Path, name: str) -> None:
+    damaged = folders.mutants((export / name).read_bytes(), 100, seed=5)
+    folders.survives(export / name, damaged, lambda: open_stray_scanner(export))
+
+
 @pytest.mark.parametrize(
     ('name', 'text', 'reason'),
     [

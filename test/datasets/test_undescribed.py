@@ -93,6 +93,16 @@ def test_stamped_names_need_no_index_files(
         np.testing.assert_array_equal(ours.depth_m, theirs.depth_m)
 
 
+@pytest.mark.parametrize('name', ['scan.r3d', 'scan/depth/0.exr'])
+def test_a_record3d_export_is_named_with_the_remedy(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    source = path if path.suffix == '.r3d' else path.parents[1]
+    with pytest.raises(SourceError, match=r'Record3D.*16-bit PNGs.*dcgs\.yaml'):
+        open_source(str(source))
+
+
 @pytest.mark.parametrize(
     'patterns',
     [('rgb/{}.png',), ('rgb/{}.txt', 'depth/{}.png'), ('x/{}.png', 'deep/{}.png'), ('rgb/a.png',)],

@@ -152,6 +152,7 @@ HALF = 0.7071067811865476
 TURN = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
 TABLES = {
     'commas': f'1.5,1,2,3,0,0,{HALF},{HALF}\n',
+    'semicolons': f'1.5;1;2;3;0;0;{HALF};{HALF}\n',
     'commas and blanks': f'1.5, 1, 2, 3, 0, 0, {HALF}, {HALF}\n',
     'tabs': f'1.5\t1\t2\t3\t0\t0\t{HALF}\t{HALF}\n',
     'heading': f'timestamp,tx,ty,tz,qx,qy,qz,qw\n1.5,1,2,3,0,0,{HALF},{HALF}\n',
@@ -179,6 +180,18 @@ def test_whole_numbers_since_1970_tell_their_unit(digits: int) -> None:
     assert parse_stamp_ns('1403636579' + '763555584'[:digits]) == int(
         '1403636579' + '763555584'[:digits].ljust(9, '0')
     )
+
+
+def test_other_whole_numbers_are_nanoseconds_of_a_clock_since_boot() -> None:
+    assert parse_stamp_ns('123456789012') == 123_456_789_012
+    assert parse_stamp_ns('1234567890') == 1_234_567_890_000_000_000
+
+
+def test_a_bad_first_row_is_no_heading(tmp_path: Path) -> None:
+    path, left_out = tmp_path / 'a.txt', list[str]()
+    path.write_text(f'nan nan nan nan nan nan nan nan\n{GOOD}')
+    assert len(read_tum(path, left_out)) == 1
+    assert 'left out 1 of 2 poses' in left_out[0]
 
 
 def test_files_that_hold_nothing_or_are_none(tmp_path: Path) -> None:

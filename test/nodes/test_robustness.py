@@ -7,6 +7,7 @@ from __future__ import annotations
 import random
 import time
 from copy import deepcopy
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from subprocess import Popen
@@ -18,7 +19,14 @@ from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
-from camera import Camera, Shot, halved, shots, zoomed  # type: ignore[import-not-found]
+from camera import (  # type: ignore[import-not-found]
+    Camera,
+    Shot,
+    halved,
+    shots,
+    zoomed,
+)
+from camera import shot as shot_of
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -234,7 +242,7 @@ def test_depth_that_nothing_registers_is_refused_with_the_reason(robot: Robot) -
     camera.play(in_depths_frame(robot, 12))
     camera.settle()
     assert not robot.observer.poses
-    assert any('could be used: see the log' in text for text in texts(robot))
+    assert any('could be used: /camera' in text for text in texts(robot))
     assert "is in frame 'camera_depth_optical_frame'" in log(robot)
     assert 'depth is not registered to colour, and no extrinsics' in log(robot)
     assert tracker.poll() is None
@@ -255,6 +263,19 @@ def test_intrinsics_that_drift_keep_the_map(robot: Robot) -> None:
     assert 'the camera changed' not in log(robot) and 'a new map' not in log(robot)
     no_wrong_jump(robot)
     assert tracker.poll() is None
+
+
+def test_depth_in_another_unit_is_tracked_in_metres_once_it_is_told(robot: Robot) -> None:
+    _, camera = begin(robot, node__depth_per_metre=1000.0)
+    frames = islice(robot.source, 24)
+    camera.play(
+        shot_of(replace(f, depth_m=1000 * f.depth_m), robot.source.camera)
+        for f in frames
+        if isinstance(f, RgbdFrame)
+    )
+    camera.settle()
+    assert len(robot.observer.poses) == 24
+    no_wrong_jump(robot)
 
 
 def rss_mb(process: Popen[bytes]) -> float:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -48,7 +49,7 @@ from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
 _SENSOR_ADDED = {'depth_readout_ms', 'stamp_ms'}  # older recordings lack them
-_DAMAGED = 30  # images at the beginning
+_FEW = 5  # images at the beginning: some may be damaged
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 
@@ -108,7 +109,8 @@ def find_camera(
             topics.depth: _first_image(path, topics.depth, read_depth),
         }
         color = _color_camera(path, text, topics, first)
-        sizes = [image_size(first[topic]) for topic in (topics.color, topics.depth)]
+        size = color.width, color.height
+        sizes = [size, _usual_size(path, topics.depth) or size]
         depth, _ = first_camera(path, topics, topics.depth_info)
         asked = options.depth_registration
         registered = _registration(path, topics, first, sizes, color, depth, asked)
@@ -132,7 +134,7 @@ def _first_image(path: Path | str, topic: str, read: Callable[[Any], object]) ->
     """
     found = []
     with suppress(DamagedError):  # reported with the frames
-        for message in islice(raw_messages(path, [topic]), _DAMAGED):
+        for message in islice(raw_messages(path, [topic]), _FEW):
             with suppress(FrameError, MessageError):
                 found.append(decode(message.cdr, message.type))
                 try:
@@ -179,6 +181,16 @@ def first_camera(
             except (MessageError, CameraError) as error:
                 first_error = first_error or error
     return None, first_error
+
+
+def _usual_size(path: Path | str, topic: str) -> tuple[int, int] | None:
+    """Return the width and height that most of the first images have: one may be damaged."""
+    sizes: Counter[tuple[int, int]] = Counter()
+    with suppress(DamagedError):
+        for message in islice(raw_messages(path, [topic]), _FEW):
+            with suppress(MessageError, FrameError):
+                sizes[image_size(decode(message.cdr, message.type))] += 1
+    return max(sizes, key=lambda size: sizes[size], default=None)
 
 
 def _registration(

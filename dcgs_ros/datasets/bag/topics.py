@@ -84,7 +84,7 @@ def split_topics(address: str) -> tuple[Path, str | None, str | None]:
     if unknown := given.keys() - {'color', 'depth'}:
         raise SourceError(
             f'{address}: {", ".join(sorted(unknown))} is not known; of a recording color=TOPIC '
-            'and depth=TOPIC can be given'
+            'and depth=TOPIC can be given, of any depth_per_metre, sync_slop_s and rate_hz'
         )
     return Path(path), given.get('color'), given.get('depth')
 

@@ -62,14 +62,25 @@ def order_stamps(
     images = images[first]
     while ends := _far_ends(moved[images]):
         images = np.delete(images, ends)
-    left_out = np.setdiff1d(np.arange(len(recorded)), images)
-    if len(left_out):
-        notes.append(
-            f'{name}: {len(left_out)} of {len(recorded)} images are left out, as their stamps are '
-            f'repeated, out of order or far from the others; the first: {label(left_out[0])} at '
-            f'{format_stamp_ns(recorded[left_out[0]])} s'
-        )
+    notes += _left_out(recorded, images, name, label)
     return OrderedStamps(moved[images], images, shifts, tuple(notes))
+
+
+def _left_out(
+    recorded: NDArray[np.int64],
+    images: NDArray[np.int64],
+    name: str,
+    label: Callable[[int], str],
+) -> list[str]:
+    """Return a note about all but these `images`, if there are others."""
+    others = np.setdiff1d(np.arange(len(recorded)), images)
+    if not len(others):
+        return []
+    return [
+        f'{name}: {len(others)} of {len(recorded)} images are left out, as their stamps are '
+        f'repeated, out of order or far from the others; the first: {label(int(others[0]))} at '
+        f'{format_stamp_ns(recorded[others[0]])} s'
+    ]
 
 
 def _with_stamps(stamps_ns: NDArray[np.int64], name: str) -> NDArray[np.int64]:

@@ -15,7 +15,8 @@ _IMAGE = re.compile(r'\.(?:png|jpe?g)$', re.IGNORECASE)
 _NUMBER = re.compile(r'[0-9]+(?:\.[0-9]+)?')
 _COLOR = re.compile(r'rgb|colou?r|image|img|left|cam')
 _OTHER = re.compile(r'mask|semantic|label|instance|normal|conf|seg|right|infra')
-_SINCE_1970_NS = 10**18  # names of that many nanoseconds are times; smaller whole ones are numbers
+_SINCE_2001_NS = 10**18  # whole numbers are stamps from here on, or with so many digits:
+_STAMP_DIGITS = 11
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class ImageFolders:
     color: str
     depth: str
     counts: tuple[int, int]  # of colour, of depth
-    stamped: bool  # the names are seconds, or nanoseconds since 1970
+    stamped: bool  # the names are times, not numbers
 
 
 def find_image_folders(folder: Path) -> ImageFolders | None:
@@ -41,6 +42,18 @@ def find_image_folders(folder: Path) -> ImageFolders | None:
         return None
     stamped = all(_are_stamps(groups[pattern]) for pattern in (color, depth))
     return ImageFolders(color, depth, (len(groups[color]), len(groups[depth])), stamped)
+
+
+def why_unreadable(path: Path) -> str | None:
+    """Return what is known of a recording that cannot be read, and the remedy; else None."""
+    is_record3d = path.suffix == '.r3d'
+    if is_record3d or (path.is_dir() and any(path.glob('*/*.exr'))):
+        kind = 'LZFSE' if is_record3d else 'OpenEXR'
+        return (
+            f'{path} holds depth as {kind} (Record3D), which is not read: convert it to 16-bit '
+            'PNGs beside the colour images, and describe them in a dcgs.yaml (docs/datasets.md)'
+        )
+    return None
 
 
 def _groups(folder: Path) -> dict[str, list[str]]:
@@ -67,4 +80,6 @@ def _are_stamps(names: list[str]) -> bool:
 
 
 def _is_stamp(stem: str) -> bool:
-    return '.' in stem or parse_stamp_ns(stem) >= _SINCE_1970_NS
+    stamp_ns = parse_stamp_ns(stem)
+    is_long = len(stem.lstrip('0')) >= _STAMP_DIGITS
+    return '.' in stem or is_long or stamp_ns >= _SINCE_2001_NS

@@ -65,27 +65,34 @@ def open_undescribed(
     camera = camera or camera_in_name(sequence_name(folder))
     is_tum = dataclasses.replace(found, counts=(0, 0)) == _TUM
     unit = options.depth_per_metre or (TUM_DEPTH_PER_METRE if is_tum else None)
-    missing = [
-        flag
-        for flag, is_there in (
-            ('--camera', camera),
-            ('--depth-per-metre', unit),
-            ('--rate-hz', found.stamped or options.rate_hz),
-        )
-        if not is_there
-    ]
-    if camera is None or unit is None or missing:
-        raise UndescribedError(
-            f'{path}: {found.counts[0]} colour images {found.color} and {found.counts[1]} depth '
-            f'images {found.depth}, but nothing describes them: give {", ".join(missing)}, or '
-            f'write a dcgs.yaml: dcgs info {path} proposes one',
-            propose(folder, found),
-        )
+    if camera is None or unit is None or not (found.stamped or options.rate_hz):
+        raise _undescribed(folder, found, camera, unit, options)
     pairs, notes = _pairs(folder, found, options)
     preset = choose_camera(camera, PRESETS['fr3'], folder, pairs, unit)
     left_out = [*notes]
     truth = read_truth(folder, groundtruth, left_out)
     return ImageSequence.from_preset(folder, pairs, preset, truth, notes=left_out)
+
+
+def _undescribed(
+    folder: Path,
+    found: ImageFolders,
+    camera: str | None,
+    unit: float | None,
+    options: SourceOptions,
+) -> UndescribedError:
+    known = {
+        '--camera': camera,
+        '--depth-per-metre': unit,
+        '--rate-hz': found.stamped or options.rate_hz,
+    }
+    return UndescribedError(
+        f'{folder}: {found.counts[0]} colour images {found.color} and {found.counts[1]} depth '
+        f'images {found.depth}, but nothing describes them: give '
+        f'{", ".join(flag for flag, value in known.items() if not value)}, or write a '
+        f'dcgs.yaml: dcgs info {folder} proposes one',
+        propose(folder, found),
+    )
 
 
 def _pairs(folder: Path, found: ImageFolders, options: SourceOptions) -> PairedImages:

@@ -218,6 +218,14 @@ def test_large_colour_is_shrunk_over_small_depth(bag: Bag) -> None:
     assert_true(frames_of(source)[0], source.camera)
 
 
+def test_a_damaged_first_depth_image_tells_no_size(bag: Bag) -> None:
+    entries = [info_entry(START_NS, PLAIN), *(e for k in range(4) for e in shot(k, PLAIN))]
+    entries[2] = depth_entry(START_NS, millimetres(PLAIN)[:60])
+    bad, *good = BagSource(bag(entries))
+    assert isinstance(bad, BadFrame) and 'depth is 160x60 pixels' in bad.reason
+    assert len(good) == 3 and all(isinstance(frame, RgbdFrame) for frame in good)
+
+
 def test_unregistered_depth_follows_its_own_intrinsics(bag: Bag) -> None:
     """In colour's frame, as one that is seen from there."""
     depth = PinholeCamera(140, 110, 100.0, 101.0, 70.0, 55.0)

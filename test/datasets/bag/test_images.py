@@ -117,6 +117,8 @@ def test_inverse_depth_is_right_to_its_quantum() -> None:
     inverse = a / depth_m[1:] + b  # what was rounded down, from the same law
     error = (a / exact_m[1:] + b) - inverse
     assert -0.01 < error.min() and error.max() < 1.01
+    finer = bag_images.depth_of(message('32FC1; compressedDepth png', data), CAMERA, 4.0)
+    np.testing.assert_array_equal(finer, depth_m / 4)
     assert (depth_m[1:] >= exact_m[1:] * (1 - 1e-5)).all()
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import folders  # type: ignore[import-not-found]
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -231,6 +232,19 @@ def test_one_bad_image_is_one_bad_frame(tum_folder: Writer, fault: str) -> None:
     assert bad.name == 'frame 3 of 4 (rgb/2.png)'
     assert re.search(reason, bad.reason)
     assert f'{kind}/2.png' in bad.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['rgb.txt', 'associations.txt', 'groundtruth.txt'])
+def test_no_mutant_of_its_files_does_harm(tum_folder: Writer, name: str) -> None:
+    folder = tum_folder(frames=6)
+    rows = [
+        f'{100 + 0.03 * k:.3f} rgb/{k}.png {100 + 0.03 * k:.3f} depth/{k}.png' for k in range(6)
+    ]
+    if name == 'associations.txt':
+        (folder / name).write_text('\n'.join(rows))
+    damaged = folders.mutants((folder / name).read_bytes(), 300, seed=4)
+    assert folders.survives(folder / name, damaged, lambda: open_tum(folder, SMALL)) < 300
 
 
 BAD_LINES = {

@@ -85,6 +85,7 @@ def received(settings: TrackerNodeSettings, *arguments: str) -> ImagePair[Any, A
     node, camera = Node('images', cli_args=ros), Node('camera')
     try:
         subscriber = CameraSubscriber(node, settings, lambda text: None, lambda *frames: None)
+        subscriber.begin()
         transports = {'color': settings.color_transport, 'depth': settings.depth_transport}
         suffixes = COLOR_TRANSPORTS | DEPTH_TRANSPORTS
         outputs = {

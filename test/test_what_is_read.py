@@ -29,9 +29,9 @@ ROWS: dict[str, tuple[Iterable[str], str]] = {  # names from the code, and what 
     'compressed depth': (CODECS['depth'], '16UC1, or 32FC1 as inverse depth'),
     'lenses (CameraInfo)': (
         [*filter(None, ros_images._LENS_MODELS), *ros_images._FISHEYE_MODELS],
-        'up to 14 coefficients; any model where all are zero; rectified images have none',
+        f'up to {ros_images._MAX_COEFFICIENTS} coefficients; any where all is zero',
     ),
-    'sizes': ((), f'16 to {ros_images._MAX_SIDE} pixels a side; depth of any beside colour'),
+    'sizes': ((), f'16 to {ros_images._MAX_SIDE} pixels a side'),
     'files and folders': ([*(f.layout for f in FORMATS), LAYOUT], 'see above and below'),
 }
 

@@ -8,6 +8,7 @@ anything is allocated.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ DEPTH_ENCODINGS = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4'}
 _LENS_MODELS = ('', 'plumb_bob', 'rational_polynomial')
 _FISHEYE_MODELS = ('equidistant', 'fisheye', 'kannala_brandt', 'kannala_brandt4')
 MM_PER_M = 1000.0
+_RECTIFIED = re.compile('(^|[/_])rect([/_]|$)')
 _MAX_M = np.float32(65.535)  # the largest depth in 16 bits of millimetres
 _SPARSE = 16  # pixels, between those checked first
 
@@ -131,19 +133,24 @@ def in_metres(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(depth_m > 0, depth_m, np.nan).astype('<f4')
 
 
-def read_camera(info: Any, rectified: bool = False) -> Camera:
-    """Return the camera of a CameraInfo, ROS 1's (K, D) or ROS 2's (k, d).
+def is_rectified(topic: str) -> bool:
+    """Return whether a topic's images are rectified, by image_proc's names: image_rect ..."""
+    return _RECTIFIED.search(topic.lower()) is not None
 
-    It describes the lens as it is; `rectified` images have P's matrix, and no distortion.
-    If all coefficients are zero, the lens model may have any name. Raises `MessageError` for an
-    unknown lens model, skew or an implausible size, and `CameraError` for invalid intrinsics.
+
+def read_camera(info: Any, rectified: bool = False) -> Camera:
+    """Return the camera of a CameraInfo, ROS 1's (K, D, P) or ROS 2's (k, d, p).
+
+    That of `rectified` images is P's, where it has one. If all coefficients are zero, the lens
+    model may have any name. Raises `MessageError` for an unknown lens model, skew or an
+    implausible size, and `CameraError` for invalid intrinsics.
     """
     size = _size(info)
     matrix = info.k if hasattr(info, 'k') else info.K
     distortion = info.d if hasattr(info, 'd') else info.D
-    if rectified:
-        P = info.p if hasattr(info, 'p') else info.P
-        matrix, distortion = [*P[:3], *P[4:7]] if P[0] else matrix, ()
+    P: Any = info.p if hasattr(info, 'p') else getattr(info, 'P', ())
+    if rectified and len(P) == 12 and P[0]:
+        matrix, distortion = [*P[0:3], *P[4:7]], ()
     fx, skew, cx, _, fy, cy = (float(value) for value in matrix[:6])
     if skew != 0:
         raise MessageError(f'camera matrix has a skew of {skew:.6g} pixels, not 0')

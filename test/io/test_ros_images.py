@@ -21,6 +21,7 @@ from dcgs_ros.io.ros_images import (
     DEPTH_ENCODINGS,
     MessageError,
     image_size,
+    is_rectified,
     read_camera,
     read_color,
     read_depth,
@@ -202,21 +203,35 @@ def test_the_lens_is_read_where_there_is_one(
     assert read_camera(info(distortion_model=model, d=distortion)) == expected
 
 
+def test_rectified_images_have_the_projection_and_no_lens() -> None:
+    p = np.array([500.0, 0, 310, 0, 0, 501, 250, 0, 0, 0, 1, 0])
+    raw = info(p=p)
+    assert read_camera(raw) == read_camera(info())
+    assert read_camera(raw, rectified=True) == PinholeCamera(640, 480, 500.0, 501.0, 310.0, 250.0)
+    assert read_camera(info(p=np.zeros(12)), rectified=True) == read_camera(info())
+
+
+@pytest.mark.parametrize(
+    ('topic', 'expected'),
+    [
+        ('/camera/rgb/image_rect_color', True),
+        ('/kinect2/hd/image_color_rect', True),
+        ('/camera/depth/image_rect/compressed', True),
+        ('/zed/rgb/rect/image', True),
+        ('/camera/color/image_raw', False),
+        ('/rectangle/image', False),
+    ],
+)
+def test_rectified_topics_are_known_by_their_names(topic: str, expected: bool) -> None:
+    assert is_rectified(topic) == expected
+
+
 def test_capital_names_of_ros_1_are_read_as_well() -> None:
     new = info()
     old = SimpleNamespace(
         width=640, height=480, distortion_model='plumb_bob', K=new.k, D=np.array(new.d)
     )
     assert read_camera(old) == read_camera(new)
-
-
-@pytest.mark.parametrize('name', ['p', 'P'])
-def test_of_rectified_images_the_matrix_is_that_of_p(name: str) -> None:
-    P = np.array([500.0, 0, 320.5, -25.0, 0, 501.0, 240.5, 0, 0, 0, 1, 0])
-    rectified = read_camera(info(**{name: P}), rectified=True)
-    assert rectified == PinholeCamera(640, 480, 500.0, 501.0, 320.5, 240.5)
-    unset = read_camera(info(**{name: np.zeros(12)}), rectified=True)
-    assert unset == PinholeCamera(640, 480, 525.0, 526.0, 319.5, 239.5)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,13 @@ from ...io.images.transports import (
     read_color,
     read_depth,
 )
-from ...io.ros_images import MessageError, UnknownEncodingError, depth_unit, read_camera
+from ...io.ros_images import (
+    MessageError,
+    UnknownEncodingError,
+    depth_unit,
+    is_rectified,
+    read_camera,
+)
 from ..camera_presets import PRESETS
 from ..images.camera_timeline import check_same
 from ..images.registration import (
@@ -111,7 +117,7 @@ def find_camera(
         color = _color_camera(path, text, topics, first)
         size = color.width, color.height
         sizes = [size, _usual_size(path, topics.depth) or size]
-        depth, _ = first_camera(path, topics, topics.depth_info)
+        depth, _ = first_camera(path, topics.depth_info, topics.depth)
         asked = options.depth_registration
         registered = _registration(path, topics, first, sizes, color, depth, asked)
         sensor = _find_sensor(path, text, registered, depth)
@@ -119,6 +125,7 @@ def find_camera(
         per_metre = options.depth_per_metre or _depth_per_metre(path, topics, unit)
         compressed = any(is_compressed(first[topic]) for topic in (topics.color, topics.depth))
         plain = registered.as_recorded and sizes[0] == sizes[1] and registered.camera == color
+        plain = plain and not is_rectified(topics.color)  # else CameraInfo is not these images'
         return RecordedCamera(
             topics, color, None if registered.by_size else depth, sizes[1], registered, sensor,
             per_metre, plain and per_metre == unit and not compressed, text is not None,
@@ -154,7 +161,7 @@ def _color_camera(
         return PRESETS[text].camera
     if text is not None:
         return parse_intrinsics(text, *image_size(first[topics.color]))
-    camera, error = first_camera(path, topics, topics.camera_info)
+    camera, error = first_camera(path, topics.camera_info, topics.color)
     if camera is not None:
         return camera
     what = f'no CameraInfo beside {topics.color}'
@@ -166,9 +173,9 @@ def _color_camera(
 
 
 def first_camera(
-    path: Path | str, topics: CameraTopics, topic: str | None
+    path: Path | str, topic: str | None, images: str
 ) -> tuple[Camera | None, DcgsError | None]:
-    """Return the camera of the first usable CameraInfo, or None and why the first one is not.
+    """Return an image topic's camera by the first usable CameraInfo, or None and what was wrong.
 
     Drivers send intrinsics of zero until they have read the calibration.
     """
@@ -177,7 +184,7 @@ def first_camera(
         for message in raw_messages(path, [topic] if topic else []):
             try:
                 info = decode(message.cdr, message.type)
-                return read_camera(info, topics.is_rectified(topic)), None
+                return read_camera(info, is_rectified(images)), None
             except (MessageError, CameraError) as error:
                 first_error = first_error or error
     return None, first_error

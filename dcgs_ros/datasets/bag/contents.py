@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...core.camera import CameraError
 from ...core.trajectory import Trajectory
-from ...io.ros_images import MessageError, read_camera
+from ...io.ros_images import MessageError, is_rectified, read_camera
 from ..images.association import pair_stamps
 from ..images.camera_timeline import CameraTimeline
 from ..images.indexed_frames import stamp_of_index
@@ -66,11 +66,8 @@ def read_contents(
     Raises `SourceError` if no colour and depth image are a pair, or stamps are missing.
     """
     stamps: dict[str, list[int]] = {topics.color: [], topics.depth: []}
-    infos = {
-        topic: _InfoReader(topics.is_rectified(topic))
-        for topic in (topics.camera_info, topics.depth_info)
-        if topic
-    }
+    images = {topics.camera_info: topics.color, topics.depth_info: topics.depth}
+    infos = {topic: _InfoReader(is_rectified(name)) for topic, name in images.items() if topic}
     poses: dict[int, NDArray[np.float64]] = {}
     lost = []
     number = 0
@@ -103,9 +100,8 @@ class _InfoReader:
     """Reads the CameraInfo of a topic, each of which mostly repeats the last one."""
 
     def __init__(self, rectified: bool) -> None:
-        """`rectified` are the images that they belong to."""
-        self.timeline = CameraTimeline()
-        self._rectified = rectified
+        """Begin; `rectified` images have a camera of their own."""
+        self.timeline, self._rectified = CameraTimeline(), rectified
         self._last = b''
 
     def read(self, message: RawMessage) -> None:

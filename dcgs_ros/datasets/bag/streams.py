@@ -76,11 +76,6 @@ class Stream:
         return self.registered_to == 'color' or bool(self.words & _REGISTERED)
 
     @property
-    def is_rectified(self) -> bool:
-        """Return whether the name says that no distortion is left."""
-        return bool(self.words & {'rect', 'rectified'})
-
-    @property
     def is_odd(self) -> bool:
         """Return whether it is no image of a camera, as far as the name says."""
         one_eye = self.kind == 'depth' or 'left' in self.words or 'right' in self.words
@@ -149,4 +144,4 @@ def _form(color: Stream, depth: Stream) -> int:
     forms = [stream.words & {'rect', 'raw'} for stream in (color, depth)]
     if all(forms):
         return 3 * forms[0].isdisjoint(forms[1])
-    return 1 if color.is_rectified else 2
+    return 1 if 'rect' in forms[0] else 2

@@ -38,10 +38,6 @@ class CameraTopics:
     camera_info: str | None  # beside colour
     depth_info: str | None  # beside depth
 
-    def is_rectified(self, info: str | None) -> bool:
-        """Return whether the images beside a CameraInfo are rectified, by their name."""
-        return Stream(self.color if info == self.camera_info else self.depth).is_rectified
-
 
 def camera_topics(
     path: Path | str, color: str | None = None, depth: str | None = None

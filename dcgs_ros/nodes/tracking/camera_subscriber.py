@@ -74,8 +74,10 @@ class CameraSubscriber:
         topics = [*self._images.values()]
         self.reader = FrameReader(settings.depth_registration, topics, lookup, tell)
         qos = sensor_qos(settings.reliability, _INFOS)
-        subscribe, depth_info = node.create_subscription, f'{_DEPTH}/camera_info'
-        subscribe(CameraInfo, depth_info, partial(self._on_info, 'depth'), qos)
+        subscribe = node.create_subscription
+        # Also as image_transport: the CameraInfo of depth is beside its images, where these are.
+        beside = node.resolve_topic_name(f'{_DEPTH}/image_raw').rpartition('/')[0]
+        subscribe(CameraInfo, f'{beside}/camera_info', partial(self._on_info, 'depth'), qos)
         on_info = partial(self._on_info, 'color')
         self._subscriptions: dict[str, Subscription] = {
             'camera_info': subscribe(CameraInfo, f'{_COLOR}/camera_info', on_info, qos)

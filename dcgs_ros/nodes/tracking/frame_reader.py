@@ -16,7 +16,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from ...core.camera import PinholeCamera
 from ...core.frame import RgbdFrame
 from ...core.lens_camera import Camera
-from ...datasets.bag.streams import Stream as Images
 from ...datasets.images.camera_timeline import CameraTimeline, is_another
 from ...datasets.images.registration import (
     Registration,
@@ -25,7 +24,7 @@ from ...datasets.images.registration import (
     find_registration,
 )
 from ...io.images.transports import read_color, read_depth
-from ...io.ros_images import MessageError, read_camera, stamp_ns
+from ...io.ros_images import MessageError, is_rectified, read_camera, stamp_ns
 from .pairing import ImagePair
 
 SomeImage: TypeAlias = Image | CompressedImage
@@ -63,12 +62,12 @@ class FrameReader:
 
     def on_info(self, kind: str, info: CameraInfo) -> None:
         """Take the intrinsics of 'color' or 'depth'; raises a `DcgsError` for unusable ones."""
-        lens = info.distortion_model, info.k.tobytes(), bytes(info.d), info.p.tobytes()
-        fields = info.width, info.height, lens
+        matrices = info.k.tobytes(), bytes(info.d), info.p.tobytes()
+        fields = info.width, info.height, info.distortion_model, *matrices
         if self._repeated.get(kind) == fields:
             return
-        images = Images(self._topics[0 if kind == 'color' else 1])
-        camera = read_camera(info, images.is_rectified)
+        topic = self._topics[0 if kind == 'color' else 1]
+        camera = read_camera(info, is_rectified(topic))
         self._repeated[kind] = fields
         with self._lock:
             self._cameras[kind].add(stamp_ns(info.header.stamp), camera)

@@ -177,16 +177,14 @@ def info_entry(
     camera: PinholeCamera | LensCamera,
     topic: str = INFO,
     zoom: float = 1.0,
-    rectified_fx: float = 0.0,
+    projection: PinholeCamera | None = None,
 ) -> Entry:
-    """Return a CameraInfo with K, whose focal lengths are multiplied by `zoom`, D, and maybe P."""
+    """Return a CameraInfo with K, whose focal lengths are multiplied by `zoom`, D, and P."""
     name = 'sensor_msgs/msg/CameraInfo'
     K = np.array([zoom * camera.fx, 0, camera.cx, 0, zoom * camera.fy, camera.cy, 0, 0, 1.0])
     model = 'plumb_bob' if len(camera.distortion) <= 5 else 'rational_polynomial'
     if isinstance(camera, LensCamera) and camera.fisheye:
         model = 'equidistant'
-    P = np.zeros(12)
-    P[[0, 2, 5, 6, 10]] = rectified_fx, camera.cx, rectified_fx, camera.cy, 1
     message = TYPES.types[name](
         header=header(stamp_ns, OPTICAL),
         height=camera.height,
@@ -195,12 +193,16 @@ def info_entry(
         d=np.array(camera.distortion),
         k=K,
         r=np.eye(3).ravel(),
-        p=P,
+        p=np.zeros(12) if projection is None else _projection(projection),
         binning_x=0,
         binning_y=0,
         roi=TYPES.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
     )
     return entry_of(topic, name, stamp_ns, message)
+
+
+def _projection(camera: PinholeCamera) -> NDArray[np.float64]:
+    return np.array([camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1.0, 0])
 
 
 def header(stamp_ns: int, frame: str) -> Any:

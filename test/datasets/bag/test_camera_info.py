@@ -174,6 +174,17 @@ def test_zeros_beyond_eight_coefficients_need_no_resampling(bag: Bag) -> None:
     np.testing.assert_array_equal(frames_of(source)[0].color, texture(lens))
 
 
+def test_rectified_images_are_not_undistorted_again(bag: Bag) -> None:
+    color, info = '/camera/rgb/image_rect_color', '/camera/rgb/camera_info'
+    raw = replace(PLAIN, distortion=(0.1, -0.2, 0.001, 0.002, 0.05))
+    rectified = replace(PLAIN, fx=120.0, fy=121.0)
+    entries = [e._replace(topic=color) if e.topic == COLOR else e for e in shot(0, rectified)]
+    path = bag([info_entry(START_NS, raw, info, projection=rectified), *entries])
+    source = BagSource(path)
+    assert source.camera == rectified and not source.recorded.as_published
+    np.testing.assert_array_equal(frames_of(source)[0].color, texture(rectified))
+
+
 def test_a_lens_that_cannot_be_inverted_is_refused_with_numbers(
     bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:

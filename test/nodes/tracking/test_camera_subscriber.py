@@ -136,6 +136,18 @@ def test_a_remapped_topic_takes_its_transports_along(ros: None) -> None:
     check(received(settings, *oak))
 
 
+def test_the_camera_info_of_depth_is_beside_its_images(ros: None) -> None:
+    for arguments, beside in (
+        ([], '/camera/camera/aligned_depth_to_color'),
+        (['-r', f'{BASES["depth"]}:=/oak/stereo/image_raw'], '/oak/stereo'),
+    ):
+        node = Node('images', cli_args=['--ros-args', *arguments] if arguments else None)
+        CameraSubscriber(node, TrackerNodeSettings(), lambda text: None, lambda *frames: None)
+        infos = node.get_subscriptions_info_by_topic(f'{beside}/camera_info')
+        node.destroy_node()
+        assert len(infos) == 1
+
+
 def test_the_settings_name_every_transport() -> None:
     hints = get_type_hints(TrackerNodeSettings)
     assert get_args(hints['color_transport']) == tuple(COLOR_TRANSPORTS)

@@ -170,5 +170,7 @@ def test_a_damaged_first_image_refuses_nothing(tmp_path: Path) -> None:
         compressed_entry(f'{COLOR}/compressed', START_NS + k * INTERVAL_NS, 'png', data)
         for k, data in enumerate([half, encoded('.png', color_of(1))])
     ]
-    items = list(BagSource(with_color(tmp_path / 'small', colors)))
-    assert [type(item).__name__ for item in items] == ['BadFrame', 'RgbdFrame']
+    path = with_color(tmp_path / 'small', colors)
+    for camera in (None, '60,61,32,24'):
+        items = list(BagSource(path, camera))
+        assert [type(item).__name__ for item in items] == ['BadFrame', 'RgbdFrame']

@@ -240,9 +240,12 @@ def test_a_damaged_first_depth_image_tells_no_size(bag: Bag) -> None:
 def test_unregistered_depth_follows_its_own_intrinsics(bag: Bag) -> None:
     """In colour's frame, as one that is seen from there."""
     depth = PinholeCamera(140, 110, 100.0, 101.0, 70.0, 55.0)
-    entries = [info_entry(START_NS, PLAIN), info_entry(START_NS, depth, DEPTH_INFO)]
-    entries += shot(0, PLAIN, depth, 'optical', UNALIGNED)
-    assert_true(frames_of(BagSource(bag(entries)))[0], PLAIN)
+    entries = [info_entry(START_NS, PLAIN)]
+    for k, now in enumerate([depth, replace(depth, fx=103.0, fy=104.0)]):
+        entries.append(info_entry(START_NS + k * INTERVAL_NS, now, DEPTH_INFO))
+        entries += shot(k, PLAIN, now, 'optical', UNALIGNED)
+    for frame in frames_of(BagSource(bag(entries))):
+        assert_true(frame, PLAIN)
 
 
 def aligned_in_depths_frame(topic: str = DEPTH, info: str = ALIGNED_INFO) -> list[Entry]:

@@ -83,6 +83,12 @@ def test_another_camera_in_another_frame_is_registered(topic: str) -> None:
     assert registration.reason == 'here, by the recorded extrinsics: 15.0 mm apart'
 
 
+@pytest.mark.parametrize('topic', ['/unaligned_depth/image', '/depth_unregistered/image'])
+def test_a_name_may_say_that_it_is_not(topic: str) -> None:
+    with pytest.raises(RegistrationError, match='no extrinsics'):
+        found(topic, camera=None, T=None)
+
+
 def test_intrinsics_contradict_a_name_where_extrinsics_are_known() -> None:
     assert is_moved(found(ALIGNED))
     kept = found(ALIGNED, T=None)

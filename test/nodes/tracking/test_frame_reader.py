@@ -195,7 +195,7 @@ def test_the_camera_of_a_map_stays_when_depths_intrinsics_come() -> None:
     """The shrunk size would differ by a pixel or two, and begin another map."""
     node, color = Node(RAW), scaled(PLAIN, 1280, 960)
     node.reader.on_info('color', info(color))
-    other = replace(scaled(PLAIN, 150, 113), fx=126.0, fy=126.0)
+    other = replace(scaled(PLAIN, 700, 525), fx=0.6 * color.fx, fy=0.6 * color.fx)
     _, before = node.read(color, other)
     node.reader.on_info('depth', info(other))
     frame, after = node.read(color, other)

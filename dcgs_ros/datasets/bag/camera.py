@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from itertools import islice
@@ -59,7 +60,7 @@ _SENSOR_ADDED = {
     'color_readout_ms',
     'stamp_ms',
 }  # older recordings lack them
-_SIZED = 5  # images that tell the size of depth
+_FEW = 5  # images at the beginning: some may be damaged
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 
 
@@ -114,11 +115,10 @@ def find_camera(
     """
     topics = camera_topics(path, color_topic, depth_topic)
     try:
-        first = first_messages(path, (topics.color, topics.depth))
-        for topic in (topics.color, topics.depth):
-            if topic not in first:
-                raise SourceError(f'no message of {topic} can be read')
-        _check_encodings(topics, first)
+        first = {
+            topics.color: _first_image(path, topics.color, read_color),
+            topics.depth: _first_image(path, topics.depth, read_depth),
+        }
         color = _color_camera(path, text, topics, first)
         size = color.width, color.height
         sizes = [size, _usual_size(path, topics.depth) or size]
@@ -139,15 +139,24 @@ def find_camera(
         raise SourceError(f'{path}: {error}') from error
 
 
-def _check_encodings(topics: CameraTopics, first: dict[str, Any]) -> None:
-    """Raise `SourceError` where no image of a topic can be read; one that is damaged may."""
-    for topic, read in ((topics.color, read_color), (topics.depth, read_depth)):
-        try:
-            read(first[topic])
-        except UnknownEncodingError as error:
-            raise SourceError(f'{topic}: {error}') from error
-        except (FrameError, MessageError):
-            pass
+def _first_image(path: Path | str, topic: str, read: Callable[[Any], object]) -> Any:
+    """Return the first image that can be read, of the first few, or else the first one.
+
+    Raises `SourceError` where there is none, and where none is encoded so that it can be read.
+    """
+    found = []
+    with suppress(DamagedError):  # reported with the frames
+        for message in islice(raw_messages(path, [topic]), _FEW):
+            with suppress(FrameError, MessageError):
+                found.append(decode(message.cdr, message.type))
+                try:
+                    read(found[-1])
+                except UnknownEncodingError as error:
+                    raise SourceError(f'{topic}: {error}') from error
+                return found[-1]
+    if not found:
+        raise SourceError(f'no message of {topic} can be read')
+    return found[0]
 
 
 def _color_camera(
@@ -172,7 +181,7 @@ def _usual_size(path: Path | str, topic: str) -> tuple[int, int] | None:
     """Return the width and height that most of the first images have: one may be damaged."""
     sizes: Counter[tuple[int, int]] = Counter()
     with suppress(DamagedError):
-        for message in islice(raw_messages(path, [topic]), _SIZED):
+        for message in islice(raw_messages(path, [topic]), _FEW):
             with suppress(MessageError, FrameError):
                 sizes[image_size(decode(message.cdr, message.type))] += 1
     return max(sizes, key=lambda size: sizes[size], default=None)

@@ -128,6 +128,15 @@ def test_inverse_depth_may_come_in_rvl(tmp_path: Path) -> None:
     assert np.abs(a / frame.depth_m[near] - a / depth_m[near]).max() <= 1.0 + 1e-3
 
 
+def test_zstd_keeps_metres(tmp_path: Path) -> None:
+    depth_m = depth_of(0) / np.float32(1000)
+    entry = compressed_entry(f'{DEPTH}/zstd', START_NS, 'zstd', zstd(depth_m, 48, '32FC1', True))
+    path = write_bag(tmp_path / 'bag', [*(e for e in recording(1) if e.topic != DEPTH), entry])
+    (frame,) = BagSource(path)
+    assert isinstance(frame, RgbdFrame)
+    np.testing.assert_array_equal(frame.depth_m, depth_m)
+
+
 def test_an_unknown_encoding_is_told_before_any_frame(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -154,11 +163,14 @@ def test_a_damaged_first_image_refuses_nothing(tmp_path: Path) -> None:
     entries = list(recording(3))
     at = next(k for k, entry in enumerate(entries) if entry.topic == COLOR)
     half = encoded('.png', color_of(0))[:-9]
-    entries[at] = image_entry(COLOR, START_NS, 'rgb8', color_of(0)[:24])
-    assert len(list(BagSource(write_bag(tmp_path / 'bag', entries)))) == 3
+    entries[at] = image_entry(COLOR, START_NS, 'rgba8', color_of(0))  # of too short rows
+    items = list(BagSource(write_bag(tmp_path / 'bag', entries)))
+    assert [type(item).__name__ for item in items] == ['BadFrame', 'RgbdFrame', 'RgbdFrame']
     colors = [
         compressed_entry(f'{COLOR}/compressed', START_NS + k * INTERVAL_NS, 'png', data)
         for k, data in enumerate([half, encoded('.png', color_of(1))])
     ]
-    items = list(BagSource(with_color(tmp_path / 'small', colors)))
-    assert [type(item).__name__ for item in items] == ['BadFrame', 'RgbdFrame']
+    path = with_color(tmp_path / 'small', colors)
+    for camera in (None, '60,61,32,24'):
+        items = list(BagSource(path, camera))
+        assert [type(item).__name__ for item in items] == ['BadFrame', 'RgbdFrame']

@@ -28,6 +28,7 @@ from packing import rvl  # type: ignore[import-not-found]
 from realsense_bags import compressed_entry, encoded  # type: ignore[import-not-found]
 
 from dcgs_ros.cli.main import main
+from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag import topics as bag_topics
 from dcgs_ros.datasets.bag.source import BagSource
@@ -208,6 +209,22 @@ def test_a_kinect2_is_read_in_the_resolution_that_was_recorded(bag: Bag, size: s
     topics = [f'/kinect2/{size}/{name}' for name in names]
     assert chosen(path) == (*topics, *[f'/kinect2/{size}/camera_info'] * 2)
     check_depth(path)
+
+
+@pytest.mark.parametrize('transport', ['', '/compressed'])
+def test_no_distortion_is_left_in_images_that_are_called_rectified(
+    bag: Bag, transport: str
+) -> None:
+    """Their CameraInfo is that of the raw images: the lens in K and D, the images in P."""
+    name = '/kinect2/qhd/image_color_rect'
+    image = jpeg(name + transport) if transport else color(name)
+    plain = PinholeCamera(64, 48, 44.0, 45.0, 30.5, 23.0)
+    lens = info_entry(START_NS, CAMERA, '/kinect2/qhd/camera_info', projection=plain)
+    path = bag([image, depth('/kinect2/qhd/image_depth_rect'), lens])
+    assert BagSource(path).camera == plain
+    check_depth(path)
+    images = [color('/kinect2/qhd/image_color'), depth('/kinect2/qhd/image_depth')]
+    assert BagSource(bag([*images, lens], 'raw')).camera == CAMERA
 
 
 @pytest.mark.parametrize(

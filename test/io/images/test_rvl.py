@@ -46,6 +46,13 @@ def test_every_cut_is_noticed() -> None:
             decode_rvl(data[:length], 'depth')
 
 
+@pytest.mark.parametrize('nibbles', ['20000000', '02220000'])
+def test_a_run_beyond_the_image_is_refused(nibbles: str) -> None:
+    data = struct.pack('<III', 1, 1, int(nibbles, 16))
+    with pytest.raises(FrameError, match='or damaged'):
+        decode_rvl(data, 'depth')
+
+
 @pytest.mark.parametrize('size', [(0, 8), (8, 0), (2**16, 2**16), (2**31, 2**32 - 1)])
 def test_an_implausible_size_is_refused_before_anything_is_allocated(
     size: tuple[int, int],

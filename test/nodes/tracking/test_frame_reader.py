@@ -225,3 +225,17 @@ def test_an_image_of_another_size_than_its_camera_is_refused() -> None:
     node.reader.on_info('color', info(PLAIN))
     with pytest.raises(FrameError, match='colour is 80x60 pixels'):
         node.read(scaled(PLAIN, 80, 60))
+
+
+def test_no_distortion_is_left_in_images_that_are_called_rectified() -> None:
+    lens = replace(PLAIN, distortion=(0.1, -0.2, 0.001, 0.002, 0.05))
+    for topic, expected in (('/rgb/image_rect_color', PLAIN), ('/rgb/image_color', lens)):
+        reader = FrameReader('auto', (topic, ALIGNED), lambda *_: None, lambda _: None)
+        message = info(lens)
+        message.p = np.array([PLAIN.fx, 0, PLAIN.cx, 0, 0, PLAIN.fy, PLAIN.cy, 0, 0, 0, 1, 0.0])
+        reader.on_info('color', message)
+        head = header(0, 'optical')
+        pair = ImagePair(
+            0, write_color(texture(PLAIN), head), 0, write_depth(plane_m(PLAIN), head)
+        )
+        assert reader.read(pair)[1] == expected

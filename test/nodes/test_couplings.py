@@ -21,6 +21,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from dcgs_ros.core.camera import PinholeCamera
@@ -38,6 +39,7 @@ from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.messages.poses import pose_stamped
 from dcgs_ros.nodes.replay import ReplayNode
 from dcgs_ros.nodes.tracker import TrackerNode
+from dcgs_ros.nodes.tracking.pairing import ImagePair
 from dcgs_ros.nodes.transport import RELIABLE, sensor_qos
 
 HANGS_S = 60.0  # only a failure takes so long
@@ -258,6 +260,7 @@ def test_a_rendered_view_is_in_the_frame_of_the_camera(make: Make) -> None:
 TWO_NODES = """
 import rclpy
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from dcgs_ros.nodes.lifetime import Worker, run
 
 
@@ -362,3 +365,29 @@ def test_a_map_is_gone_on_in_only_where_its_tracker_has_gone(
     found = eye._mapper.resumable(0.0)
     assert (found is None) == alive
     assert ('another tracker is at work here' in capfd.readouterr().err) == alive
+
+
+def test_a_replay_hears_which_frames_the_tracker_is_through_with(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    eye = make(TrackerNode, '-p', 'wait_for_node:=dcgs_tracker', *PLANE)
+    player, heard = make(ReplayNode), list[tuple[str, int]]()
+    player._pursuit = SimpleNamespace(
+        wait=lambda: True,
+        played=lambda ns: heard.append(('played', ns)),
+        tracked=lambda ns: heard.append(('tracked', ns)),
+        end=lambda: None,
+    )
+    image = Image(header=header(7, 'optical'))
+    player._keep_near(image)
+    player._keep_near(serialize_message(image))
+    assert heard == [('played', 7)] * 2
+    progress, queue = eye._outputs._progress, eye._camera.queue
+    spin_until(lambda: progress.get_subscription_count() > 0, eye, player)
+    monkeypatch.setattr(tracker, 'warm_up', lambda *_: None)
+    eye._mapper.resumable = lambda _: None
+    eye._camera.camera = CAMERA
+    eye._track = lambda *_: queue.close()
+    queue.put(ImagePair(7, image, 7, image))
+    eye._work()
+    spin_until(lambda: heard[-1] == ('tracked', 7), player)

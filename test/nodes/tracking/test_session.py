@@ -419,7 +419,9 @@ def test_before_the_first_frame_and_in_the_map_of_another_tracker_the_world_stay
 
 def test_whether_a_camera_was_ever_tracked_is_known_for_each_map() -> None:
     feeder, frames = Feeder(), frames_of(HALF)
-    blind = replace(frames[0], depth_m=np.zeros_like(frames[0].depth_m))
+    depth_m = np.zeros_like(frames[0].depth_m)
+    depth_m[100:104, 100:104] = 1.0  # hardly anything
+    blind = replace(frames[0], depth_m=depth_m)
     assert states(feeder.feed([blind])) == [TrackingState.LOST]
     tracked = [feeder.session.ever_tracked]
     feeder.feed(frames[1:3])

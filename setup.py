@@ -65,9 +65,9 @@ setup(
     entry_points={
         'console_scripts': [
             'dcgs = dcgs_ros.cli.main:main',
-            'mapper = dcgs_ros.nodes.mapper:main',
-            'replay = dcgs_ros.nodes.replay:main',
-            'tracker = dcgs_ros.nodes.tracker:main',
+            'mapper = dcgs_ros.nodes.start:mapper',
+            'replay = dcgs_ros.nodes.start:replay',
+            'tracker = dcgs_ros.nodes.start:tracker',
         ],
     },
 )

@@ -23,7 +23,7 @@ _ARGUMENTS = [
         'bag', default_value='', description='Bag to play, instead of `source`.'
     ),
     DeclareLaunchArgument(
-        'rate', default_value='1.0', description='Speed; 0: as fast as possible.'
+        'rate', default_value='1.0', description='Speed at most; 0: as fast as it is tracked.'
     ),
     DeclareLaunchArgument(
         'loop', default_value='false', choices=_EITHER, description='Begin again at the end.'
@@ -37,13 +37,29 @@ _ARGUMENTS = [
     DeclareLaunchArgument(
         'params', default_value='', description='Parameter file of tracker and mapper.'
     ),
+    DeclareLaunchArgument(
+        'namespace', default_value='', description='Namespace of all nodes, topics and TF.'
+    ),
+    DeclareLaunchArgument(
+        'base_frame', default_value='', description='Frame whose pose the tracker publishes.'
+    ),
+    DeclareLaunchArgument(
+        'tf', default_value='', description='Transform that the tracker broadcasts.'
+    ),
+    DeclareLaunchArgument(
+        'use_sim_time',
+        default_value='false',
+        choices=_EITHER,
+        description="Time of tracker, mapper and RViz is the recording's.",
+    ),
 ]
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return what `ros2 launch` is to start."""
     slam = Path(get_package_share_directory('dcgs_ros'), 'launch', 'slam.launch.py')
-    arguments = {name: LaunchConfiguration(name) for name in ('mapper', 'rviz', 'params')}
+    passed_on = ('mapper', 'rviz', 'params', 'namespace', 'base_frame', 'tf', 'use_sim_time')
+    arguments = {name: LaunchConfiguration(name) for name in passed_on}
     arguments |= {'camera': 'none', 'reliability': 'reliable'}
     return LaunchDescription(
         [
@@ -58,7 +74,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _replay(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    names = ('source', 'bag', 'rate', 'loop')
+    names = ('source', 'bag', 'rate', 'loop', 'namespace')
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
     parameters = {
         # A string: otherwise a folder named 2026 would be a number.
@@ -66,7 +82,15 @@ def _replay(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         'rate': float(given['rate']),
         'loop': given['loop'] == 'true',
         'wait_for_subscribers': 1,
+        'wait_for_node': 'dcgs_tracker',  # rviz or a recorder may subscribe sooner
     }
     return [
-        Node(package='dcgs_ros', executable='replay', output='screen', parameters=[parameters])
+        Node(
+            package='dcgs_ros',
+            executable='replay',
+            namespace=given['namespace'],
+            output='screen',
+            parameters=[parameters],
+            remappings=[('/tf_static', 'tf_static')] if given['namespace'] else [],
+        )
     ]

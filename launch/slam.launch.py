@@ -12,17 +12,26 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import (
     DeclareLaunchArgument,
+    GroupAction,
     IncludeLaunchDescription,
     OpaqueFunction,
     SetEnvironmentVariable,
 )
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import Node, SetRemap
 
 _CONFIG = Path(get_package_share_directory('dcgs_ros'), 'config')
 _PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 _EITHER = ['true', 'false']
+_DEFAULT = "empty: as in `params`, else the tracker's default"
+_TOPICS = {
+    'camera/camera/color/image_raw': 'color_topic',
+    'camera/camera/aligned_depth_to_color/image_raw': 'depth_topic',
+    'camera/camera/color/camera_info': 'camera_info_topic',
+}
+_SHOWN = ('gaussian_map', 'render/color', 'dcgs_tracker/odometry', 'dcgs_tracker/path')
+_OWN_TF = [('/tf', 'tf'), ('/tf_static', 'tf_static')]  # within a namespace, as nav2 has it
 _ARGUMENTS = [
     DeclareLaunchArgument(
         'camera',
@@ -53,6 +62,35 @@ _ARGUMENTS = [
         choices=['best_effort', 'reliable'],
         description='How the tracker subscribes to images, where `params` does not say.',
     ),
+    DeclareLaunchArgument(
+        'namespace',
+        default_value='',
+        description='Namespace of all nodes and topics, TF included: one for each robot.',
+    ),
+    *(
+        DeclareLaunchArgument(
+            f'{name}_topic', default_value='', description=f'Topic of {what}; {_DEFAULT}.'
+        )
+        for name, what in (
+            ('color', 'colour images'),
+            ('depth', 'depth images registered to colour'),
+            ('camera_info', 'the CameraInfo of colour'),
+        )
+    ),
+    DeclareLaunchArgument(
+        'base_frame',
+        default_value='',
+        description=f'Frame whose pose is published, such as base_link; {_DEFAULT}.',
+    ),
+    DeclareLaunchArgument(
+        'tf',
+        default_value='',
+        choices=['', 'odom_to_base', 'map_to_odom', 'none'],
+        description=f'Transform to broadcast; {_DEFAULT}.',
+    ),
+    DeclareLaunchArgument(
+        'use_sim_time', default_value='false', choices=_EITHER, description='Time from /clock.'
+    ),
 ]
 # config/d435i.yaml is for 640x480. Depth has to be registered to colour.
 _D435I = {
@@ -80,35 +118,65 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    names = ('camera', 'tracker', 'mapper', 'rviz', 'params', 'reliability')
+    names = (argument.name for argument in _ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
     files = [given['params']] if given['params'] else []
     if not files and given['camera'] != 'none':
         files = [str(_CONFIG / f'{given["camera"]}.yaml')]
+    simulated = [{'use_sim_time': True}] if given['use_sim_time'] == 'true' else []
     started: list[LaunchDescriptionEntity] = []
     if given['tracker'] == 'true':
         if given['camera'] == 'd435i':
-            started.append(_realsense())
-        started.append(_node('tracker', [{'node.reliability': given['reliability']}, *files]))
+            started.append(_realsense(given['namespace']))
+        said = [{f'node.{name}': given[name]} for name in ('base_frame', 'tf') if given[name]]
+        reliability = {'node.reliability': given['reliability']}
+        started.append(_node('tracker', given, [reliability, *files, *said, *simulated]))
     if given['mapper'] == 'true':
-        started.append(_node('mapper', files))
+        started.append(_node('mapper', given, [*files, *simulated]))
     if given['rviz'] == 'true':
         shown = ['-d', str(_CONFIG / 'dcgs.rviz')]
-        started.append(Node(package='rviz2', executable='rviz2', arguments=shown))
+        started.append(
+            Node(
+                package='rviz2', executable='rviz2', arguments=shown, parameters=simulated,
+                namespace=given['namespace'], remappings=_shown(given),
+            )
+        )  # fmt: skip
     return started
 
 
-def _realsense() -> IncludeLaunchDescription:
+def _remappings(given: dict[str, str]) -> list[tuple[str, str]]:
+    """Return those of the camera's topics, and in a namespace those of TF."""
+    topics = [(usual, given[name]) for usual, name in _TOPICS.items() if given[name]]
+    return topics + (_OWN_TF if given['namespace'] else [])
+
+
+def _shown(given: dict[str, str]) -> list[tuple[str, str]]:
+    """Return the remappings of RViz, whose configuration has absolute topics."""
+    if not given['namespace'] and not given['color_topic']:
+        return []
+    color = 'camera/camera/color/image_raw'
+    topics = [(f'/{topic}', topic) for topic in _SHOWN]
+    own_tf = _OWN_TF if given['namespace'] else []
+    return [*topics, (f'/{color}', given['color_topic'] or color), *own_tf]
+
+
+def _realsense(namespace: str) -> LaunchDescriptionEntity:
     share = Path(get_package_share_directory('realsense2_camera'))
     source = PythonLaunchDescriptionSource(str(share / 'launch' / 'rs_launch.py'))
-    return IncludeLaunchDescription(source, launch_arguments=_D435I.items())
+    if not namespace:
+        return IncludeLaunchDescription(source, launch_arguments=_D435I.items())
+    arguments = _D435I | {'camera_namespace': f'{namespace}/camera'}
+    include = IncludeLaunchDescription(source, launch_arguments=arguments.items())
+    return GroupAction([*(SetRemap(*pair) for pair in _OWN_TF), include])
 
 
-def _node(executable: str, parameters: list[Any]) -> Node:
+def _node(executable: str, given: dict[str, str], parameters: list[Any]) -> Node:
     return Node(
         package='dcgs_ros',
         executable=executable,
+        namespace=given['namespace'],
         output='screen',
         parameters=parameters,
+        remappings=_remappings(given),
         sigterm_timeout=_SIGTERM_S,
     )

@@ -13,7 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from ..core.config.presets import Ablation, Quality
 from ..core.errors import DcgsError
-from ..datasets.options import SourceOptions
+from ..datasets.options import RegistrationChoice, SourceOptions
 
 OutputFormat = Literal['mcap', 'sqlite3', 'tum']
 
@@ -70,6 +70,10 @@ class _WithOptions:
     sync_slop_s: Annotated[float | None, _option('sync_slop_s', 'S')] = None
 
     rate_hz: Annotated[float | None, _option('rate_hz', 'HZ')] = None
+
+    depth_registration: Annotated[
+        RegistrationChoice, _option('depth_registration', _choices(RegistrationChoice))
+    ] = 'auto'
 
     @property
     def options(self) -> SourceOptions:

@@ -82,14 +82,10 @@ def _recording_rows(source: Source) -> list[Row]:
     """Return the topics chosen of a recording, and how its depth is registered to colour."""
     if not isinstance(source, BagSource):
         return []
-    topics, mount = source.recorded.topics, source.recorded.mount
-    registered = 'as recorded'
-    if mount is not None:
-        apart_mm = 1e3 * np.linalg.norm(mount.T_colorcam_depthcam[:3, 3])
-        registered = f'here, by the recorded extrinsics: {apart_mm:.1f} mm apart'
+    recorded = source.recorded
     return [
-        ('topics', f'{topics.color}, {topics.depth}'),
-        ('registered', registered),
+        ('topics', f'{recorded.topics.color}, {recorded.topics.depth}'),
+        ('registered', recorded.registration.reason),
     ]
 
 

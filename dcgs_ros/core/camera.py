@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from .errors import DcgsError
 from .kernels import lens
 
+_GRID = 9  # pixels a side of the image for which a lens is checked
+_RETURNS_PX = 0.1  # a pixel that comes back farther away is not where the lens put it
+
 
 class CameraError(DcgsError):
     """The intrinsics do not describe a usable camera."""
+
+
+class LensError(CameraError):
+    """The distortion cannot be undone over the image."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +50,21 @@ class PinholeCamera:
             raise CameraError(f'intrinsics fx fy cx cy distortion = {numbers} are not usable')
         if len(self.distortion) not in (0, 4, 5, 8):
             raise CameraError(f'distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8')
+        if any(self.distortion):
+            self._check_lens()
+
+    def _check_lens(self) -> None:
+        """Check that pixels come back to where they were, undistorted and distorted again."""
+        u, v = np.linspace(0, self.width - 1, _GRID), np.linspace(0, self.height - 1, _GRID)
+        pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        errors = lens.inversion_errors(self.parameters, pixels)
+        worst = int(errors.argmax())
+        if not errors[worst] < _RETURNS_PX:
+            raise LensError(
+                f'the lens model cannot be inverted over the image: pixel {pixels[worst]} of '
+                f'{self.width}x{self.height} comes back {errors[worst]:.3g} px away (distortion '
+                f'{self.distortion}); calibrate again, or rectify the images'
+            )
 
     @property
     def focal(self) -> float:

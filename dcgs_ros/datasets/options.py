@@ -8,9 +8,12 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 from urllib.parse import parse_qsl, urlencode
 
-from ..core.config.schema import Stage, flatten, override, ranged
+from ..core.config.schema import Stage, described, flatten, override, ranged
+
+RegistrationChoice = Literal['auto', 'none', 'extrinsics']
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,12 @@ class SourceOptions(Stage):
         1e4,
         'Rate of the images, hertz, for stamps that are missing or useless: images are paired and '
         'stamped in their order. By default the stamps are used.',
+    )
+    depth_registration: Literal['auto', 'none', 'extrinsics'] = described(
+        'auto',
+        'Registration of the depth of a recording to its colour. none: depth is registered '
+        'already; extrinsics: by the recorded ones. By default the frames, topics and intrinsics '
+        'tell.',
     )
 
 
@@ -68,8 +77,8 @@ def join_options(address: str, options: SourceOptions) -> str:
     return _joined(address, [*_given(options).items()])
 
 
-def _given(options: SourceOptions) -> dict[str, float]:
-    return {key: value for key, value in flatten(options).items() if value is not None}
+def _given(options: SourceOptions) -> dict[str, Any]:
+    return {k: value for k, value in flatten(options).items() if value != getattr(AS_STORED, k)}
 
 
 def _joined(address: str, pairs: Sequence[tuple[str, object]]) -> str:

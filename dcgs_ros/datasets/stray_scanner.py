@@ -21,9 +21,9 @@ from ..core.errors import FrameError
 from ..core.frame import RgbdFrame
 from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
+from ..io.images.decoding import read_depth_file, read_grey_file
 from ..io.trajectory import data_rows, parse_pose, parse_stamp_ns, read_tum, trajectory_of
 from .images.color_resampling import ColorResampling
-from .images.decoding import read_depth_file, read_grey_file
 from .images.indexed_frames import stamp_of_index
 from .images.sequence import depth_size
 from .options import AS_STORED, SourceOptions

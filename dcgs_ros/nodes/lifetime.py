@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -21,6 +22,8 @@ from .transport import prepare
 
 _WAKE_S = 1.0
 _failed: WeakSet[Node] = WeakSet()  # nodes of which a worker raised
+_initialised = threading.Event()
+_left: WeakSet[Node] = WeakSet()  # nodes of which a worker goes on, since it cannot be interrupted
 
 
 def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -33,8 +36,10 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     prepare()
     # rclpy ends spinning at a signal. Python must not interrupt `close` at a second one, which
     # launchers send.
-    signal.signal(signal.SIGINT, _ignored)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _handle)
     rclpy.init(args=None if args is None else list(args))
+    _initialised.set()
     node: Node | None = None
     try:
         executor = SingleThreadedExecutor()  # first: a signal while it is made would break it
@@ -53,7 +58,11 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
         # A signal shuts ROS down at once: what was being published then fails.
     finally:
         _end(node)
-    return int(node is not None and has_failed(node))
+    status = int(node is not None and has_failed(node))
+    if node in _left:  # Python's own end would wait for the compiler, or crash in it
+        sys.stdout.flush()
+        os._exit(status)
+    return status
 
 
 def has_failed(node: Node) -> bool:
@@ -84,6 +93,10 @@ class Worker:
         """Wait for the end of the thread."""
         self._thread.join()
 
+    def leave(self) -> None:
+        """Wait for nothing: `run` ends the process although the thread goes on."""
+        _left.add(self._node)
+
 
 def _end(node: Node | None) -> None:
     try:
@@ -96,5 +109,7 @@ def _end(node: Node | None) -> None:
         rclpy.try_shutdown()
 
 
-def _ignored(number: int, frame: FrameType | None) -> None:
-    """Replace Python's own handler, which rclpy calls after its own."""
+def _handle(number: int, frame: FrameType | None) -> None:
+    """Replace Python's own handler, which rclpy calls after its own, once it has one."""
+    if not _initialised.is_set():
+        os._exit(0)

@@ -8,14 +8,12 @@ and publishes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from ..core.config.nodes import MapperSettings, core_config
 from ..core.config.presets import ONLINE
@@ -25,19 +23,20 @@ from ..core.kernels.workers import give_way
 from ..core.mapping.warmup import warm_up_with_mapper
 from ..core.tracking.warmup import ANY_CAMERA
 from ..io.ros_images import stamp_ns
-from .health import LOADING
+from .health import LOADING, Verdict
 from .lifetime import Worker, run
 from .mapping.keyframe_subscriber import KeyframeSubscriber
 from .mapping.outputs import MapOutputs
 from .mapping.session import MappingSession
-from .messages.diagnostics import diagnostics
 from .messages.keyframes import read_keyframe
 from .messages.poses import matrix
 from .parameters import Parameters
+from .reporter import Reporter
+from .services import answered, offer, refused
 from .transport import RELIABLE
 
 _PAUSE_S = 0.01
-_THROTTLE_S = 5.0
+_AFTER_RESET = 'the map is empty; keyframes that the tracker keeps come again'
 _LIVE = ('mapping', 'rates')
 
 
@@ -47,39 +46,32 @@ class MapperNode(Node):
     def __init__(self) -> None:
         """Subscribe, and start the thread."""
         super().__init__('dcgs_mapper')
+        self._reporter = Reporter(self, 'mapping', self._judged)
+        self._warn = self._reporter.warn
         defaults = override(MapperSettings(), ONLINE)
         self._params = Parameters(self, defaults, _is_live, self._reconfigure)
         settings = self._params.settings
-        self._session = MappingSession(core_config(settings), self._warn)
-        self._outputs = MapOutputs(self, settings.node)
         self._keyframes = KeyframeSubscriber(self)
+        trackers = self._keyframes.trackers
+        self._session = MappingSession(core_config(settings), self._warn, trackers)
+        self._outputs = MapOutputs(self, settings.node)
         self._queue = self._keyframes.queue
         self._pose: PoseStamped | None = None  # latest of the camera
         self._ready = False
         self.create_subscription(PoseStamped, 'camera_pose', self._on_pose, RELIABLE)
-        self.create_service(Trigger, '~/save_map', self._on_save)
-        self.create_service(Trigger, '~/reset', self._on_reset)
-        self._health = self.create_publisher(DiagnosticArray, '/diagnostics', RELIABLE)
-        self.create_timer(1.0, self._report)
+        offer(self, '~/save_map', self._on_save)
+        offer(self, '~/reset', self._on_reset)
         self._worker = Worker(self, self._work, 'mapping')
 
     def _on_pose(self, pose: PoseStamped) -> None:
         self._pose = pose
 
-    def _on_save(self, _: Any, response: Any) -> Any:
-        return self._answer(response, self._save)
+    def _on_save(self) -> Future[str]:
+        return self._queue.submit(self._save) if self._ready else refused(LOADING.message)
 
-    def _on_reset(self, _: Any, response: Any) -> Any:
-        return self._answer(response, self._reset)
-
-    def _answer(self, response: Any, work: Callable[[], str]) -> Any:
-        """Have the mapping thread do it, and answer with its text or error."""
-        try:
-            response.message = self._queue.submit(work).result()
-            response.success = True
-        except DcgsError as error:
-            response.message = str(error)
-        return response
+    def _on_reset(self) -> Future[str]:
+        done = self._queue.submit(self._reset)
+        return done if self._ready else answered(_AFTER_RESET)
 
     def _save(self) -> str:
         return self._session.save(Path(self._params.settings.node.save_folder))
@@ -88,7 +80,7 @@ class MapperNode(Node):
         self._session.reset()
         self._outputs.keyframes(None)
         self._outputs.update(None)
-        return 'the map is empty; keyframes that the tracker keeps come again'
+        return _AFTER_RESET
 
     def _reconfigure(self, settings: MapperSettings) -> None:
         config = core_config(settings)
@@ -97,6 +89,7 @@ class MapperNode(Node):
     def _work(self) -> None:
         """Insert what came, publish what is due, optimise otherwise; until closed."""
         give_way()
+        self.get_logger().info(LOADING.message)
         session, outputs = self._session, self._outputs
         warm_up_with_mapper(ANY_CAMERA, self._params.settings)
         self._ready = True
@@ -121,6 +114,7 @@ class MapperNode(Node):
             return
         update = self._session.insert(packet)
         if update is not None:
+            self._outputs.world = parts['pose'].header.frame_id or self._outputs.world
             self._outputs.answer(update, packet.stamp_ns)
         self._outputs.keyframes(self._session.mapper)
 
@@ -135,19 +129,18 @@ class MapperNode(Node):
         if rendering is not None:
             self._outputs.rendering(rendering, stamp, session.camera_frame)
 
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=_THROTTLE_S)
-
-    def _report(self) -> None:
-        """Publish how mapping goes."""
+    def _judged(self) -> tuple[Verdict, dict[str, object]]:
+        """Return how mapping goes."""
         verdict = self._session.judge(len(self._queue)) if self._ready else LOADING
         values = {**self._keyframes.figures(), **self._session.figures()}
-        name, stamp = f'{self.get_name()}: mapping', self.get_clock().now().to_msg()
-        self._health.publish(diagnostics(stamp, name, verdict, values))
+        return verdict, values
 
     def close(self) -> None:
         """End the thread; save the map if that is set."""
         self._queue.close()
+        if not self._ready:  # the thread is loading kernels: there is no map
+            self._worker.leave()
+            return
         self._worker.join()
         if self._params.settings.node.save_on_exit:
             try:

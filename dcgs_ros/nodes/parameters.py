@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from difflib import get_close_matches
 from typing import Any, Generic
 
 from rcl_interfaces.msg import (
@@ -17,10 +17,15 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ..core.config.schema import ConfigError, S, Setting, flatten, override, settings
+from ..core.config.nodes import MapperSettings, ReplaySettings, TrackerSettings
+from ..core.config.schema import ConfigError, S, Setting, override, settings
 from ..core.errors import DcgsError
 
+NODES = (TrackerSettings(), MapperSettings(), ReplaySettings())  # a file may be for all of them
+
 _AUTO = 'auto'  # stands for None, which a parameter cannot be
+_OF_ROS = 'qos_overrides.'  # parameters that rclpy declares later
+_ALIKE = 0.8  # of two names, 1 for equal ones; less may be a parameter of another package
 
 
 class Parameters(Generic[S]):
@@ -36,8 +41,8 @@ class Parameters(Generic[S]):
         """Declare every setting, with its value from files and the command line.
 
         Settings whose key is `live` may change at run time: `on_change` gets the settings after
-        each request. Raises `ConfigError` for an unusable value, and for an unknown name within
-        a stage.
+        each request. Those of the other nodes are accepted and ignored, since a file may be for
+        all. Raises `ConfigError` for an unusable value, and for a name that is nearly right.
         """
         given = _given(node, defaults)
         self.settings = override(defaults, given)
@@ -92,21 +97,55 @@ def _given(node: Node, defaults: Any) -> dict[str, Any]:
     """Return the settings given by files and command line."""
     # rclpy has no public access to parameters that were given but not declared.
     overrides: Mapping[str, Parameter] = node._parameter_overrides
-    known = flatten(defaults)
-    stages = {f.name for f in dataclasses.fields(defaults)} - known.keys()
-    unknown = [k for k in overrides if k not in known and k.split('.')[0] in stages]
-    if unknown:
-        of_stages = [k for k in known if k.split('.')[0] in {u.split('.')[0] for u in unknown}]
-        raise ConfigError(
-            f'{node.get_name()}: unknown parameters {", ".join(sorted(unknown))}; the valid ones '
-            f'of these stages are {", ".join(of_stages)}'
-        )
-    strange = [
-        k for k in overrides if k not in known and '.' not in k and not node.has_parameter(k)
-    ]
-    if strange:  # no error: a file may be for all nodes
-        node.get_logger().warning(f'unknown parameters {", ".join(sorted(strange))} are ignored')
-    return {key: p.value for key, p in overrides.items() if key in known}
+    known = {setting.key: setting for setting in settings(defaults)}
+    others = _of_other_nodes(known)
+    unknown = sorted(
+        k for k in overrides.keys() - known.keys() - others.keys()
+        if not node.has_parameter(k) and not k.startswith(_OF_ROS)
+    )  # fmt: skip
+    valid = known | others
+    told = [_with_nearest(key, valid) for key in unknown]
+    wrong = [text for key, text in zip(unknown, told, strict=True) if _is_mistake(key, valid)]
+    if wrong:
+        raise ConfigError(f'{node.get_name()}: unknown parameters: {", ".join(wrong)}')
+    if unknown:  # no error: they may be another package's
+        node.get_logger().warning(f'unknown parameters are ignored: {", ".join(told)}')
+    return {
+        key: p.value for key, p in overrides.items()
+        if key in known and not _is_for_another(p.value, known[key], others.get(key))
+    }  # fmt: skip
+
+
+def _of_other_nodes(known: Mapping[str, Setting]) -> dict[str, Setting]:
+    """Return settings of the other nodes, where they differ from the `known` ones of a node.
+
+    A name without a stage that the node has in one is not among them: it is the node's own.
+    """
+    own = {key.rpartition('.')[2] for key in known if '.' in key}
+    every = [s for defaults in NODES for s in settings(defaults) if s.key not in own]
+    return {s.key: s for s in every if s.key not in known or s.kind is not known[s.key].kind}
+
+
+def _is_for_another(value: Any, setting: Setting, other: Setting | None) -> bool:
+    """Return whether a value of a name that two nodes have is only of the type of the other's."""
+    return other is not None and type(value) is other.kind is not setting.kind
+
+
+def _with_nearest(key: str, valid: Collection[str]) -> str:
+    """Return a name with the valid ones of the same last part, else with the nearest."""
+    same = [k for k in valid if k.rpartition('.')[2] == key.rpartition('.')[2]]
+    near = same or get_close_matches(key, valid, 1)
+    return f'{key} (meant is {" or ".join(near)}?)' if near else key
+
+
+def _is_mistake(key: str, valid: Collection[str]) -> bool:
+    """Return whether a name can only be one of ours, by its stage, its last part, or nearly."""
+    stage, _, name = key.partition('.')
+    stages = {k.partition('.')[0] for k in valid if '.' in k}
+    names = {k.rpartition('.')[2] for k in valid}
+    return bool(stage in stages if name else key in names) or bool(
+        get_close_matches(key, valid, 1, _ALIKE)
+    )
 
 
 def _descriptor(setting: Setting, live: bool) -> ParameterDescriptor:

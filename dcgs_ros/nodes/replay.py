@@ -18,13 +18,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
 from ..core.config.nodes import ReplaySettings
+from ..datasets.bag.messages import read_header
 from ..datasets.prefetch import prefetch
+from ..io.ros_images import stamp_ns
 from .lifetime import Worker, run
 from .messages.images import header, time_message
 from .messages.poses import transform_stamped
 from .parameters import Parameters
+from .playback.pursuit import Pursuit
 from .playback.schedule import Pacer, ScheduledItem, schedule
 from .playback.sources import Output, open_playback
 from .tracking.extrinsics import LOOKING_FORWARD
@@ -32,13 +36,17 @@ from .transforms import make_transforms
 from .transport import RELIABLE, sensor_qos
 
 _TOPICS: dict[Output, tuple[type, str]] = {
-    'camera_info': (CameraInfo, '/camera/camera/color/camera_info'),
-    'color': (Image, '/camera/camera/color/image_raw'),
-    'depth': (Image, '/camera/camera/aligned_depth_to_color/image_raw'),
+    'camera_info': (CameraInfo, 'camera/camera/color/camera_info'),
+    'color': (Image, 'camera/camera/color/image_raw'),
+    'depth': (Image, 'camera/camera/aligned_depth_to_color/image_raw'),
 }
 _POLL_S = 0.05
+_SAY_S = 10.0  # how often it is said what is waited for
+_WHEN_READY = 'a tracker subscribes once its kernels are loaded (the first time: compiled)'
 _UNACKNOWLEDGED = 4  # frames to publish before waiting, as fast as possible: fewer than are kept
 _ACKNOWLEDGE_WAIT = Duration(seconds=2)
+_AHEAD = 4  # frames, of the tracker that is played to: as many as it keeps
+_PATIENCE_S = 5.0  # with that tracker, if it says nothing
 
 
 class ReplayNode(Node):
@@ -63,7 +71,10 @@ class ReplayNode(Node):
             LOOKING_FORWARD, header(0, s.base_frame), self._source.camera_frame
         )
         make_transforms(self).send_static(fixed)
-        self._stop = threading.Event()
+        self._stop, self._pursuit = threading.Event(), Pursuit(_AHEAD, _PATIENCE_S)
+        if s.wait_for_node:
+            progress = f'{s.wait_for_node}/progress'
+            self.create_subscription(Header, progress, self._on_progress, RELIABLE)
         self._worker = Worker(self, self._work, 'replay')
 
     def _work(self) -> None:
@@ -73,12 +84,27 @@ class ReplayNode(Node):
         self.context.try_shutdown()
 
     def _await_subscribers(self) -> bool:
-        """Wait for `wait_for_subscribers`; return False if told to end before."""
-        wanted = self._settings.wait_for_subscribers
-        while any(out.get_subscription_count() < wanted for out in self._outputs.values()):
+        """Wait for those who have to subscribe, saying so; return False if told to end before."""
+        said_s = -_SAY_S
+        while (lacking := self._lacking()) is not None:
+            if time.monotonic() - said_s >= _SAY_S:
+                said_s = time.monotonic()
+                self.get_logger().info(f'waiting for {lacking}')
             if self._stop.wait(_POLL_S):
                 return False
         return True
+
+    def _lacking(self) -> str | None:
+        """Return who has to subscribe to what before the playback begins; None: nobody."""
+        wanted, node = self._settings.wait_for_subscribers, self._settings.wait_for_node
+        for output in self._outputs.values():
+            topic, count = output.topic_name, output.get_subscription_count()
+            subscribers = self.get_subscriptions_info_by_topic(topic) if node else []
+            if node and node not in [info.node_name for info in subscribers]:
+                return f'{node} to subscribe to {topic}: {_WHEN_READY}'
+            if count < wanted:
+                return f'{wanted} subscribers of {topic}, which has {count}: {_WHEN_READY}'
+        return None
 
     def _play(self) -> None:
         """Publish every item when it is due."""
@@ -91,12 +117,25 @@ class ReplayNode(Node):
                 if not pacer.wait(scheduled):
                     return
                 for output, message in messages:
+                    if output == 'color':
+                        self._keep_near(message)
+                        count += 1
                     self._outputs[output].publish(message)
-                    count += output == 'color'
                 if not s.rate and count % _UNACKNOWLEDGED == 0:
                     self._await_acknowledgement('color', 'depth')
         self._await_acknowledgement(*_TOPICS)
         self.get_logger().info(f'{count} frames in {time.monotonic() - start_s:.1f} s')
+
+    def _keep_near(self, color: Any) -> None:
+        """Wait, where a tracker is played to, until it can take another frame."""
+        if self._settings.wait_for_node:
+            if not self._pursuit.wait():
+                self._warn(f'{self._settings.wait_for_node} says nothing: it is not waited for')
+            raw = isinstance(color, bytes)
+            self._pursuit.played(read_header(color)[0] if raw else stamp_ns(color.header.stamp))
+
+    def _on_progress(self, done: Header) -> None:
+        self._pursuit.tracked(stamp_ns(done.stamp))
 
     def _converted(self) -> Iterator[tuple[ScheduledItem[Any], list[tuple[Output, Any]]]]:
         """Yield the items of the whole playback with their messages."""
@@ -120,6 +159,7 @@ class ReplayNode(Node):
     def close(self) -> None:
         """End the playback."""
         self._stop.set()
+        self._pursuit.end()
         self._worker.join()
 
 

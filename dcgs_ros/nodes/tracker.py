@@ -7,15 +7,11 @@ The executor's thread receives and pairs images, a second thread tracks, a third
 
 from __future__ import annotations
 
-from typing import Any
+from concurrent.futures import Future
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from sensor_msgs.msg import Image
-from std_srvs.srv import Trigger
 
-from ..core.camera import PinholeCamera
 from ..core.config.nodes import TrackerSettings, core_config
 from ..core.config.presets import ONLINE
 from ..core.config.schema import override
@@ -23,11 +19,13 @@ from ..core.errors import DcgsError
 from ..core.keyframe import MapUpdate
 from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
-from .health import LOADING
+from .health import LOADING, Verdict
 from .lifetime import Worker, run
-from .messages.diagnostics import diagnostics
 from .parameters import Parameters
-from .tracking.camera_subscriber import CameraSubscriber, read_frame
+from .reporter import Reporter
+from .services import answered, offer
+from .tracking.camera_subscriber import CameraSubscriber
+from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
@@ -35,9 +33,8 @@ from .tracking.mapper_subscriber import MapperSubscriber
 from .tracking.outputs import TrackerOutputs
 from .tracking.pairing import ImagePair
 from .tracking.session import TrackingSession
-from .transport import RELIABLE
 
-_THROTTLE_S = 5.0
+_AFTER_RESET = 'the next frame begins a new map'
 _FIXED = ('sensor', 'timing', 'ablation', 'shared_klt_weight', 'threads', 'node')
 
 
@@ -47,12 +44,14 @@ class TrackerNode(Node):
     def __init__(self) -> None:
         """Subscribe, and start the threads."""
         super().__init__('dcgs_tracker')
+        self._reporter = Reporter(self, 'tracking', self._judged)
+        self._warn = self._reporter.warn
         defaults = override(TrackerSettings(), ONLINE)
         self._params = Parameters(self, defaults, _is_live, self._reconfigure)
         settings = self._params.settings
         node_settings = settings.node
-        self._outputs = TrackerOutputs(self, node_settings)
-        self._camera = CameraSubscriber(self, node_settings, self._warn)
+        self._outputs = TrackerOutputs(self, node_settings, self._warn)
+        self._camera = CameraSubscriber(self, node_settings, self._warn, self._outputs.lookup)
         self._session = TrackingSession(core_config(settings), np.eye(4), self._warn)
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
@@ -60,24 +59,22 @@ class TrackerNode(Node):
         self._mapper = MapperSubscriber(
             self, self._on_answer, self._sender.acknowledge, self._warn
         )
-        self.create_service(Trigger, '~/reset', self._on_reset)
-        self._health = self.create_publisher(DiagnosticArray, '/diagnostics', RELIABLE)
-        self.create_timer(1.0, self._report)
+        offer(self, '~/reset', self._on_reset)
         self._ready = False
         self._worker = Worker(self, self._work, 'tracking')
 
     def _on_answer(self, update: MapUpdate, epoch: int) -> None:
         self._camera.queue.submit(lambda: self._session.apply(update, epoch))
 
-    def _on_reset(self, _: Any, response: Any) -> Any:
-        self._camera.queue.submit(self._reset).result()
-        response.success, response.message = True, 'the next frame begins a new map'
-        return response
+    def _on_reset(self) -> Future[str]:
+        done = self._camera.queue.submit(self._reset)
+        return done if self._ready else answered(_AFTER_RESET)
 
-    def _reset(self) -> None:
+    def _reset(self) -> str:
         self._session.reset()
         self._sender.forget()
         self._outputs.forget()
+        return _AFTER_RESET
 
     def _reconfigure(self, settings: TrackerSettings) -> None:
         config = core_config(settings)
@@ -85,19 +82,24 @@ class TrackerNode(Node):
 
     def _work(self) -> None:
         """Load the kernels, then track every pair until closed."""
+        self.get_logger().info(LOADING.message)
         warm_up(ANY_CAMERA, self._params.settings)
+        self._camera.warm_up()
         self._resume()
+        self._camera.begin()
         self._ready = True
         self.get_logger().info('ready')
         queue = self._camera.queue
         while not queue.closed:
-            pair, camera = queue.take(0.2), self._camera.camera
-            if pair is None or camera is None:
+            pair = queue.take(0.2)
+            if pair is None:
                 continue
             try:
-                self._track(pair, camera)
+                if self._camera.reader.has_camera:
+                    self._track(pair)
             except DcgsError as error:
                 self._session.refuse(error)
+            self._outputs.progress(pair.color.header)
 
     def _resume(self) -> None:
         """Go on in the map of a mapper, if that is set and there is one."""
@@ -108,13 +110,19 @@ class TrackerNode(Node):
             sizes = f'{len(found.rows)} Gaussians, {len(found.poses)} keyframes'
             self.get_logger().info(f'going on in a map of {sizes}')
 
-    def _track(self, pair: ImagePair[Image, Image], camera: PinholeCamera) -> None:
+    def _track(self, pair: ImagePair[SomeImage, SomeImage]) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
         per_metre = self._params.settings.node.depth_per_metre
-        frame, camera_frame = read_frame(pair, per_metre), pair.color.header.frame_id
-        session, to_base = self._session, self._outputs.camera_to_base(camera_frame)
-        session.T_world_first = to_base.T_base_cam
+        frame, camera = self._camera.reader.read(pair, per_metre)
+        camera_frame = pair.color.header.frame_id
+        session, to_base = self._session, self._outputs.mounting.find(camera_frame)
+        if to_base is None:
+            session.counts['waiting_for_tf'] += 1
+            return
         epoch = session.epoch
+        if to_base.T_base_cam is not session.T_world_first:
+            self._outputs.remount(session.T_world_first, to_base.T_base_cam)
+            session.remount(to_base.T_base_cam, frame)
         result = session.track(frame, camera)
         if result is None:
             return
@@ -125,24 +133,31 @@ class TrackerNode(Node):
         for packet in session.packets(frame, result, camera_frame):
             self._sender.put(packet)
 
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=_THROTTLE_S)
-
-    def _report(self) -> None:
-        """Publish how tracking goes."""
+    def _judged(self) -> tuple[Verdict, dict[str, object]]:
+        """Return how tracking goes."""
         session, news = self._session, self._camera.news()
-        verdict = judge(news, session.result, session.searching) if self._ready else LOADING
+        verdict = LOADING
+        if self._ready:
+            missed = self._camera.missed_text()
+            if missed is not None:
+                self._warn(missed)
+            verdict = judge(
+                news, session.result, session.searching, ever_tracked=session.ever_tracked,
+                refusal=session.refusal, mounting=self._outputs.mounting.doubt,
+            )  # fmt: skip
         values = {
             'ms': session.ms, **self._camera.figures(), **session.counts,
             **self._sender.figures(), **session.figures(),
         }  # fmt: skip
-        name, stamp = f'{self.get_name()}: tracking', self.get_clock().now().to_msg()
-        self._health.publish(diagnostics(stamp, name, verdict, values))
+        return verdict, values
 
     def close(self) -> None:
         """End the threads; write the trajectory if that is set."""
         self._camera.queue.close()
-        self._worker.join()
+        if self._ready:
+            self._worker.join()
+        else:  # it is loading kernels
+            self._worker.leave()
         self._sender.close()
         written = self._outputs.close()
         if written is not None:

@@ -18,6 +18,8 @@ from ..core import se3
 class Transforms(Protocol):
     """What the nodes need of TF."""
 
+    listens: bool  # whether a transform that is not known may still come
+
     def send(self, transform: TransformStamped) -> None:
         """Broadcast a transform that holds at its stamp."""
         ...
@@ -33,6 +35,8 @@ class Transforms(Protocol):
 
 class NoTransforms:
     """Replaces TF without tf2_ros: sends nothing and knows nothing."""
+
+    listens = False
 
     def __init__(self, node: Node) -> None:
         """Warn."""
@@ -51,6 +55,8 @@ class NoTransforms:
 
 class Tf2Transforms:
     """TF by tf2_ros."""
+
+    listens = True
 
     def __init__(self, node: Node) -> None:
         """Listen and broadcast as `node`; raises `ImportError` without tf2_ros."""

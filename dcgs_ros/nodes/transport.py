@@ -20,9 +20,9 @@ _MAPPED_BYTES = 32 << 20  # the largest that glibc accepts
 RELIABLE = QoSProfile(depth=32, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def sensor_qos(reliability: str) -> QoSProfile:
+def sensor_qos(reliability: str, depth: int = 5) -> QoSProfile:
     """Return the profile for images, 'best_effort' or 'reliable', with a short queue."""
-    return QoSProfile(depth=5, reliability=ReliabilityPolicy[reliability.upper()])
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy[reliability.upper()])
 
 
 def latched(depth: int) -> QoSProfile:

@@ -12,20 +12,31 @@ from typing import Any
 
 import cv2
 import numpy as np
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.datasets.images.resampling import resample_color, resample_depth
 from dcgs_ros.datasets.source import BadFrame, Source
 from dcgs_ros.nodes.harness.observer import Observer
-from dcgs_ros.nodes.messages.images import header, write_camera, write_color, write_depth
+from dcgs_ros.nodes.messages.images import (
+    array_of,
+    header,
+    write_camera,
+    write_color,
+    write_depth,
+)
 from dcgs_ros.nodes.transport import sensor_qos
 
 FRAME_ID = 'camera_color_optical_frame'
-_TOPICS: dict[str, tuple[type, str]] = {
+TOPICS: dict[str, tuple[type, str]] = {
     'camera_info': (CameraInfo, 'color/camera_info'),
     'color': (Image, 'color/image_raw'),
     'depth': (Image, 'aligned_depth_to_color/image_raw'),
+}
+COMPRESSED_TOPICS = TOPICS | {
+    'color': (CompressedImage, 'color/image_raw/compressed'),
+    'depth': (CompressedImage, 'aligned_depth_to_color/image_raw/compressedDepth'),
 }
 AHEAD = 3  # pairs on their way to a tracker, which keeps four
 HANGS_S = 300.0  # only a failure takes so long
@@ -48,17 +59,17 @@ class Camera:
     that is lost, the tracker's reports tell when it is through with what it has.
     """
 
-    def __init__(self, observer: Observer) -> None:
+    def __init__(self, observer: Observer, topics: dict[str, tuple[type, str]] = TOPICS) -> None:
         qos = sensor_qos('reliable')
         self.publishers = {
             name: observer.node.create_publisher(kind, f'/camera/camera/{topic}', qos)
-            for name, (kind, topic) in _TOPICS.items()
+            for name, (kind, topic) in topics.items()
         }
         self._observer = observer
         self._begin()
 
     def _begin(self) -> None:
-        self._sent = dict.fromkeys(_TOPICS, 0)
+        self._sent = dict.fromkeys(TOPICS, 0)
         self._came = self._observer.came
         self._given_up = 0  # pairs of which no pose will come
 
@@ -78,7 +89,7 @@ class Camera:
     def send(self, shot: Shot, *names: str) -> None:
         """Send a frame, or some of its messages, once there is room."""
         self._until(self._has_room, 'room for a frame')
-        for name in names or tuple(_TOPICS):
+        for name in names or tuple(TOPICS):
             self._sent[name] += 1
             self.publishers[name].publish(shot.messages[name])
 
@@ -169,6 +180,24 @@ def shot(frame: RgbdFrame, camera: PinholeCamera) -> Shot:
     )
 
 
+def compressed(shot: Shot) -> Shot:
+    """Lossless, by the plugins compressed and compressedDepth."""
+    color, depth = shot.messages['color'], shot.messages['depth']
+    pixels = np.frombuffer(color.data, np.uint8).reshape(color.height, color.width, 3)
+    depth_m = np.frombuffer(depth.data, '<f4').reshape(depth.height, depth.width)
+    depth_mm = np.rint(1000 * np.nan_to_num(depth_m)).astype(np.uint16)
+    messages = {
+        'color': ('rgb8; png compressed bgr8', b'', pixels[..., ::-1]),
+        'depth': ('16UC1; compressedDepth png', bytes(12), depth_mm),
+    }
+    for name, (format_, head, image) in messages.items():
+        data = array_of(head + bytes(cv2.imencode('.png', image)[1]))
+        shot.messages[name] = CompressedImage(
+            header=shot.messages[name].header, format=format_, data=data
+        )
+    return shot
+
+
 def halved(frame: RgbdFrame, camera: PinholeCamera) -> Shot:
     """Half the resolution."""
     size = camera.width // 2, camera.height // 2
@@ -184,3 +213,14 @@ def halved(frame: RgbdFrame, camera: PinholeCamera) -> Shot:
             cx=(camera.cx + 0.5) / 2 - 0.5, cy=(camera.cy + 0.5) / 2 - 0.5,
         ),
     )  # fmt: skip
+
+
+def zoomed(frame: RgbdFrame, camera: PinholeCamera, zoom: float) -> Shot:
+    """The same view with other focal lengths."""
+    now = replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy)
+    seen = replace(
+        frame,
+        color=resample_color(frame.color, camera, now),
+        depth_m=resample_depth(frame.depth_m, camera, now),
+    )
+    return shot(seen, now)

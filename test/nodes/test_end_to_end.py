@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
-from camera import Camera, every_shot  # type: ignore[import-not-found]
+from camera import (  # type: ignore[import-not-found]
+    COMPRESSED_TOPICS,
+    Camera,
+    compressed,
+    every_shot,
+)
 from robot import Robot  # type: ignore[import-not-found]
 
 from dcgs_ros.evaluation.trajectory import absolute_trajectory_error
@@ -27,6 +32,7 @@ OFFLINE_CM = 0.64  # benchmarks/README.md
 SYNTHETIC_CM = 1.0  # where there is no real sequence
 SLACK = 1.15  # of the ATE against the run without ROS
 JUMP_M = 0.15  # nobody moves a camera as far between two frames
+COMPRESSED_FRAMES = 60
 PLACE_M = 0.03  # how near the resumed tracker's poses are to the truth, once aligned
 
 
@@ -79,6 +85,19 @@ def test_every_pair_is_tracked_and_the_map_arrives_whole(robot: Robot) -> None:
         late.close()
     assert robot.processes.stop(tracker, signal.SIGINT) == 0
     assert robot.processes.stop(mapper, signal.SIGTERM) == 0
+
+
+def test_compressed_images_are_tracked_like_raw_ones(robot: Robot) -> None:
+    robot.tracker(
+        node__resume=False, node__color_transport='compressed',
+        node__depth_transport='compressedDepth',
+    )  # fmt: skip
+    robot.wait_ready('tracker')
+    camera = Camera(robot.observer, COMPRESSED_TOPICS)
+    camera.connect(robot.source.camera)
+    camera.play(map(compressed, islice(every_shot(robot.source), COMPRESSED_FRAMES)))
+    camera.settle()
+    assert len(robot.observer.poses) == COMPRESSED_FRAMES
 
 
 def at_rest(observer: Observer) -> bool:

@@ -1,158 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the launch files start. The wheels have no `launch`: a stand-in with its interface is used.
-
-It executes what a description holds in order, as launch does, and records what would be started.
-"""
+"""What the launch files start, as a stand-in for launch records it."""
 
 from __future__ import annotations
 
-import runpy
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 import yaml
+from launching import ROOT, launcher  # type: ignore[import-not-found]
 
 from dcgs_ros.core.config.nodes import ReplaySettings, TrackerSettings
 from dcgs_ros.core.config.schema import flatten
 
-ROOT = Path(__file__).resolve().parents[2]
 VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 D435I = str(ROOT / 'config' / 'd435i.yaml')
-
-
-class Recorded:
-    """Anything of launch: what it was made with."""
-
-    def __init__(self, *values: Any, **named: Any) -> None:
-        self.values, self.named = values, named
-
-
-class Argument(Recorded):
-    """DeclareLaunchArgument."""
-
-
-class Include(Recorded):
-    """IncludeLaunchDescription."""
-
-
-class Call(Recorded):
-    """OpaqueFunction."""
-
-
-class Set(Recorded):
-    """SetEnvironmentVariable."""
-
-
-class Node(Recorded):
-    """launch_ros's Node."""
-
-
-class Configuration(Recorded):
-    """LaunchConfiguration."""
-
-    def perform(self, context: Launched) -> str:
-        return context.given[self.values[0]]
-
-
-class Variable(Recorded):
-    """EnvironmentVariable."""
-
-    def perform(self, context: Launched) -> str:
-        return context.environment.get(self.values[0], self.named['default_value'])
-
-
-class Source(Recorded):
-    """PythonLaunchDescriptionSource."""
-
-
-MODULES: dict[str, dict[str, Any]] = {
-    'ament_index_python': {},
-    'ament_index_python.packages': {
-        'get_package_share_directory': lambda name: str(ROOT if name == 'dcgs_ros' else f'/{name}')
-    },
-    'launch': {
-        'LaunchContext': object,
-        'LaunchDescription': list,
-        'LaunchDescriptionEntity': object,
-    },
-    'launch.actions': {
-        'DeclareLaunchArgument': Argument,
-        'IncludeLaunchDescription': Include,
-        'OpaqueFunction': Call,
-        'SetEnvironmentVariable': Set,
-    },
-    'launch.launch_description_sources': {'PythonLaunchDescriptionSource': Source},
-    'launch.substitutions': {
-        'EnvironmentVariable': Variable,
-        'LaunchConfiguration': Configuration,
-    },
-    'launch_ros': {},
-    'launch_ros.actions': {'Node': Node},
-    'launch_ros.parameter_descriptions': {'ParameterValue': lambda value, value_type: value},
-}
-
-
-class Launched:
-    """What a launch file started."""
-
-    def __init__(self, name: str, given: dict[str, str], environment: dict[str, str]) -> None:
-        self.given, self.environment = dict(given), environment
-        self.nodes: dict[str, Node] = {}
-        self.drivers: list[Include] = []
-        self.environments: dict[str, dict[str, str]] = {}
-        self._file(ROOT / 'launch' / f'{name}.launch.py')
-
-    def parameters(self, node: str) -> list[Any]:
-        return self.nodes[node].named['parameters']
-
-    def _file(self, path: Path) -> None:
-        for entity in runpy.run_path(str(path))['generate_launch_description']():
-            self._execute(entity)
-
-    def _execute(self, entity: Any) -> None:
-        if isinstance(entity, Argument):
-            assert entity.named['description']
-            value = self.given.setdefault(entity.values[0], entity.named['default_value'])
-            assert value in entity.named.get('choices', [value])
-        elif isinstance(entity, Set):
-            self.environment[entity.values[0]] = entity.values[1].perform(self)
-        elif isinstance(entity, Call):
-            for started in entity.named['function'](self):
-                self._execute(started)
-        elif isinstance(entity, Node):
-            name = entity.named['executable']
-            self.nodes[name] = entity
-            self.environments[name] = dict(self.environment)
-        else:
-            self._include(entity)
-
-    def _include(self, entity: Include) -> None:
-        path = Path(entity.values[0].values[0])
-        if ROOT not in path.parents:
-            self.drivers.append(entity)
-            self.environments['driver'] = dict(self.environment)
-            return
-        for name, value in entity.named['launch_arguments']:
-            self.given[name] = value if isinstance(value, str) else value.perform(self)
-        self._file(path)
+TF = [('/tf', 'tf'), ('/tf_static', 'tf_static')]
 
 
 @pytest.fixture
 def launch(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return what launches a file with arguments, in an empty environment or another."""
-    for name, content in MODULES.items():
-        module = ModuleType(name)
-        vars(module).update(content)
-        monkeypatch.setitem(sys.modules, name, module)
-
-    def launched(name: str, environment: dict[str, str] | None = None, **given: str) -> Launched:
-        return Launched(name, given, dict(environment or {}))
-
-    return launched
+    return launcher(monkeypatch)
 
 
 def test_slam_alone_starts_a_d435i_tracker_and_mapper(launch: Any) -> None:
@@ -234,3 +103,63 @@ def test_rviz_shows_map_way_pose_and_rendering(launch: Any) -> None:
         '/dcgs_tracker/path',
     }
     assert shown['Global Options']['Fixed Frame'] == TrackerSettings().node.odom_frame
+
+
+def test_a_namespace_holds_all_nodes_topics_and_tf(launch: Any) -> None:
+    slam = launch('slam', namespace='robot1', rviz='true')
+    replay = launch('replay', namespace='robot1')
+    for node in [*slam.nodes.values(), *replay.nodes.values()]:
+        assert node.named['namespace'] == 'robot1'
+    for node in (slam.nodes['tracker'], slam.nodes['mapper'], slam.nodes['rviz2']):
+        assert set(TF) <= set(node.named['remappings'])
+    assert replay.nodes['replay'].named['remappings'] == TF[1:]
+    (driver,) = slam.drivers
+    assert dict(driver.named['launch_arguments'])['camera_namespace'] == 'robot1/camera'
+    assert slam.remapped == TF
+
+
+def test_rviz_follows_topics_into_a_namespace_and_to_another_name(launch: Any) -> None:
+    arguments = launch('slam', rviz='true').nodes['rviz2'].named['arguments']
+    text = Path(arguments[1]).read_text()
+    moved = launch('slam', rviz='true', namespace='a', color_topic='/front/rgb').nodes['rviz2']
+    remapped = dict(moved.named['remappings'])
+    shown = yaml.safe_load(text)['Visualization Manager']['Displays']
+    topics = {display['Topic']['Value'] for display in shown if 'Topic' in display}
+    assert topics <= remapped.keys()
+    assert remapped['/camera/camera/color/image_raw'] == '/front/rgb'
+    assert remapped['/gaussian_map'] == 'gaussian_map'
+
+
+def test_without_a_namespace_nothing_is_remapped(launch: Any) -> None:
+    slam = launch('slam')
+    assert not slam.remapped and 'camera_namespace' not in dict(
+        slam.drivers[0].named['launch_arguments']
+    )
+    for node in slam.nodes.values():
+        assert node.named['namespace'] == '' and node.named['remappings'] == []
+
+
+def test_topics_frame_tf_and_time_are_arguments_with_the_last_word(launch: Any) -> None:
+    slam = launch(
+        'slam', camera='none', params='mine.yaml', color_topic='/front/rgb', depth_topic='depth',
+        camera_info_topic='/front/info', base_frame='base_link', tf='none', use_sim_time='true',
+    )  # fmt: skip
+    assert slam.nodes['tracker'].named['remappings'] == [
+        ('camera/camera/color/image_raw', '/front/rgb'),
+        ('camera/camera/aligned_depth_to_color/image_raw', 'depth'),
+        ('camera/camera/color/camera_info', '/front/info'),
+    ]
+    after = slam.parameters('tracker')[slam.parameters('tracker').index('mine.yaml') + 1 :]
+    assert {key: value for given in after for key, value in given.items()} == {
+        'node.base_frame': 'base_link', 'node.tf': 'none', 'use_sim_time': True,
+    }  # fmt: skip
+    assert slam.parameters('mapper') == ['mine.yaml', {'use_sim_time': True}]
+    replay = launch('replay', base_frame='base_link', tf='none', use_sim_time='true')
+    assert {'node.base_frame': 'base_link'} in replay.parameters('tracker')
+    assert {'use_sim_time': True} in replay.parameters('mapper')
+    assert 'use_sim_time' not in replay.parameters('replay')[0]  # it makes the time
+
+
+def test_a_replay_waits_for_the_tracker_itself(launch: Any) -> None:
+    """RViz or a recorder may subscribe to the camera's topics sooner."""
+    assert launch('replay').parameters('replay')[0]['wait_for_node'] == 'dcgs_tracker'

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip('rclpy')
 
@@ -217,13 +218,57 @@ def test_others_can_ask_and_set_over_the_services(declare: Declare) -> None:
     asking.destroy_node()
 
 
-def test_a_name_that_is_no_setting_is_told(
+@pytest.mark.parametrize(
+    ('defaults', 'given', 'meant'),
+    [
+        (ReplaySettings(), 'sorce:=synthetic:plane', 'source'),
+        (TrackerSettings(), 'base_frame:=base_link', 'node.base_frame'),
+        (TrackerSettings(), 'node.base_fram:=base_link', 'node.base_frame'),
+        (MapperSettings(), 'node.base_fram:=base_link', 'node.base_frame'),
+        (MapperSettings(), 'sensr.a_m:=0.1', 'sensor.a_m'),
+        (MapperSettings(), 'max_gaussians:=5', 'mapping.max_gaussians'),
+        (TrackerSettings(), 'thread:=2', 'threads'),
+    ],
+)
+def test_a_name_that_is_nearly_right_is_refused_with_the_right_one(
+    declare: Declare, defaults: Any, given: str, meant: str
+) -> None:
+    with pytest.raises(ConfigError) as refused:
+        declare(defaults, '-p', given)
+    assert f'{given.split(":")[0]} (meant is {meant}' in str(refused.value)
+
+
+def test_what_resembles_no_setting_is_ignored_and_told(
     declare: Declare, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    """A file may be for the nodes of other packages too."""
     _, parameters, _ = declare(
-        ReplaySettings(), '-p', 'sorce:=synthetic:plane', '-p', 'use_sim_time:=true'
+        TrackerSettings(),
+        *('-p', 'robot_description:=x', '-p', 'use_sim_time:=true', '-p', 'amcl.alpha1:=0.2'),
     )
-    assert parameters.settings == ReplaySettings()
+    assert parameters.settings == TrackerSettings()
     told = capfd.readouterr().err
-    assert 'unknown parameters sorce are ignored' in told
+    assert 'unknown parameters are ignored: amcl.alpha1, robot_description' in told
     assert 'use_sim_time' not in told
+
+
+@pytest.mark.parametrize(
+    'defaults', [TrackerSettings(), MapperSettings(), ReplaySettings()], ids=lambda d: type(d)
+)
+def test_one_file_is_for_all_nodes(
+    declare: Declare, defaults: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What two nodes have under one name, but of two types, is for the one whose type it has."""
+    path = tmp_path / 'all.yaml'
+    values = {'node.save_on_exit': True, 'node.odom_frame': 'map', 'node.base_frame': 'base_link',
+              'node.save_folder': 'maps', 'source': 'synthetic:plane', 'rate': 2.0,
+              'sensor.a_m': 0.002}  # fmt: skip
+    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': values}}))
+    _, parameters, _ = declare(defaults, '--params-file', str(path))
+    own = {key: value for key, value in values.items() if key in flatten(defaults)}
+    if isinstance(defaults, TrackerSettings):
+        del own['node.save_on_exit']  # a folder there
+    assert own and parameters.settings == override(defaults, own)
+    assert not capfd.readouterr().err
+    with pytest.raises(ConfigError, match='save_on_exit'):
+        declare(MapperSettings(), '-p', 'node.save_on_exit:=2')

@@ -56,7 +56,7 @@ PART_S = 2.0  # of a real sequence
 ROUNDING_S = 0.05  # of what the node says
 CAMERA = '50,50,31.5,23.5'  # of small images
 TYPES: dict[str, type] = {COLOR: Image, DEPTH: Image, INFO: CameraInfo, '/clock': Clock}
-PROGRAM = 'import sys; from dcgs_ros.nodes.replay import main; sys.exit(main())'
+PROGRAM = 'import sys; from dcgs_ros.nodes.start import replay; sys.exit(replay())'
 
 pytestmark = pytest.mark.usefixtures('ros')
 
@@ -250,6 +250,7 @@ def test_it_ends_while_it_waits_for_subscribers(
         out, _ = process.communicate(timeout=ENDS_S)
         assert process.returncode == 0, out
         assert 'Traceback' not in out
+        assert f'waiting for 2 subscribers of {INFO}, which has ' in out
 
 
 @pytest.mark.slow
@@ -315,6 +316,7 @@ def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
     raw = open_playback(path, None, 'optical', lambda _: None)
     assert raw.camera_frame == 'camera_color_optical_frame'
     converted = open_playback(path, '60,61,32,24', 'optical', lambda _: None)
+    assert converted.camera_frame == raw.camera_frame  # that of the images
     (_, frame), _ = converted.items()
     assert read_camera(dict(converted.messages(frame, 0))['camera_info']).fy == 61
 
@@ -336,6 +338,7 @@ def test_a_bag_of_compressed_images_is_converted(tmp_path: Path) -> None:
     entries = [entry for entry in recording(2) if entry.topic == INFO]
     path = str(write_bag(tmp_path / 'bag', [*entries, *compressed(2)]))
     playback = open_playback(path, None, 'optical', lambda _: None)
+    assert playback.camera_frame == 'camera_color_optical_frame'
     for (_, frame), expected in zip(playback.items(), open_source(path), strict=True):
         assert isinstance(expected, RgbdFrame)
         messages = dict(playback.messages(frame, 0))

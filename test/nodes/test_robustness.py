@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
-from camera import Camera, halved, shots  # type: ignore[import-not-found]
+from camera import (  # type: ignore[import-not-found]
+    Camera,
+    Shot,
+    halved,
+    shots,
+    zoomed,
+)
 from camera import shot as shot_of
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
@@ -38,6 +44,7 @@ from test_fuzz import (  # type: ignore[import-not-found]
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
+from dcgs_ros.datasets.source import BadFrame
 from dcgs_ros.nodes.harness.observer import wait_until
 from dcgs_ros.nodes.messages.images import (
     header,
@@ -214,19 +221,47 @@ def test_another_resolution_begins_a_map_at_the_last_pose(robot: Robot) -> None:
     no_wrong_jump(robot)
 
 
-def test_depth_of_another_frame_is_refused_with_the_reason(robot: Robot) -> None:
-    tracker, camera = begin(robot)
-    taken = shots(robot.source, 72)
-    for shot in taken[:12]:
+def in_depths_frame(robot: Robot, count: int) -> list[Shot]:
+    taken: list[Shot] = shots(robot.source, count)
+    for shot in taken:
         shot.messages['depth'].header.frame_id = 'camera_depth_optical_frame'
-    camera.play(taken[:12])
+    return taken
+
+
+def test_registered_depth_in_the_depth_cameras_frame_is_tracked_and_told(robot: Robot) -> None:
+    tracker, camera = begin(robot)
+    camera.play(in_depths_frame(robot, 30))
+    camera.settle()
+    assert len(robot.observer.poses) == 30
+    assert log(robot).count('depth is registered as recorded, as its name says, though in') == 1
+    assert tracker.poll() is None
+
+
+def test_depth_that_nothing_registers_is_refused_with_the_reason(robot: Robot) -> None:
+    tracker, camera = begin(robot, node__depth_registration='extrinsics')
+    camera.play(in_depths_frame(robot, 12))
     camera.settle()
     assert not robot.observer.poses
-    assert any('could be used: see the log' in text for text in texts(robot))
-    assert "depth in 'camera_depth_optical_frame': it is not registered" in log(robot)
-    camera.play(taken[12:])
+    assert any('could be used: /camera' in text for text in texts(robot))
+    assert "is in frame 'camera_depth_optical_frame'" in log(robot)
+    assert 'depth is not registered to colour, and no extrinsics' in log(robot)
+    assert tracker.poll() is None
+
+
+def test_intrinsics_that_drift_keep_the_map(robot: Robot) -> None:
+    """A camera that focuses: other intrinsics with every frame, and images that follow them."""
+    tracker, camera = begin(robot)
+    source = robot.source
+    frames = [f for f in islice(source, 60) if not isinstance(f, BadFrame)]
+    taken = [
+        zoomed(frame, source.camera, 1.0 + 0.03 * k / len(frames))
+        for k, frame in enumerate(frames)
+    ]
+    camera.play(taken)
     camera.settle()
-    assert len(robot.observer.poses) == 60
+    assert len(robot.observer.poses) == len(taken)
+    assert 'the camera changed' not in log(robot) and 'a new map' not in log(robot)
+    no_wrong_jump(robot)
     assert tracker.poll() is None
 
 

@@ -31,16 +31,39 @@ class TrackerNodeSettings(Stage):
     base_to_camera: str = described(
         'auto',
         "Pose of the camera's optical frame in base_frame as 'x y z qx qy qz qw', metres and a "
-        'unit quaternion; auto: from TF or, if it is not there, a camera at the origin of '
+        'unit quaternion; auto: from TF or, until it is there, a camera at the origin of '
         'base_frame that looks along its x axis.',
+    )
+    wait_for_transform_s: float = ranged(
+        5.0,
+        0,
+        600,
+        'Time to wait at the first image for TF from base_frame to the camera, seconds; images '
+        'are dropped meanwhile. Without it tracking begins with the assumption of base_to_camera; '
+        'when TF comes later, a new map begins with the camera where it is.',
     )
     reliability: Literal['best_effort', 'reliable'] = described(
         'best_effort',
         'Reliability of the image subscriptions: best_effort for a live camera, reliable for a '
         'replay of which no frame may be lost.',
     )
+    color_transport: Literal['raw', 'zstd', 'compressed'] = described(
+        'raw',
+        'How colour is sent, as image_transport names it: compressed subscribes to '
+        'CompressedImage on the topic of the raw image with /compressed after it.',
+    )
+    depth_transport: Literal['raw', 'compressedDepth', 'zstd', 'compressed'] = described(
+        'raw',
+        'How depth is sent, likewise: compressedDepth subscribes to the topic of the raw image '
+        'with /compressedDepth after it.',
+    )
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
+    )
+    depth_registration: Literal['auto', 'none', 'extrinsics'] = described(
+        'auto',
+        'Registration of depth to colour. none: depth is registered already; extrinsics: by TF '
+        'between the frames of the images; auto: by their frames, the topic and the intrinsics.',
     )
     depth_per_metre: float | None = ranged(
         None,
@@ -88,7 +111,7 @@ class TrackerSettings(Config):
 class MapperNodeSettings(Stage):
     """The mapper's node: frames, rates and files."""
 
-    odom_frame: str = described('odom', 'Frame that the map is in: the odom_frame of the tracker.')
+    odom_frame: str = described('odom', "Frame that the map is in until a keyframe's pose tells.")
     map_rate_hz: float = ranged(
         0.1,
         0,
@@ -151,7 +174,12 @@ class ReplaySettings(Stage):
         'Reliability of the image publishers; reliable works with subscribers of both kinds.',
     )
     wait_for_subscribers: int = ranged(
-        0, 0, 100, 'Start when each camera topic has this many subscribers.'
+        1, 0, 100, 'Start when each camera topic has this many subscribers; 0: at once.'
+    )
+    wait_for_node: str = described(
+        '',
+        'Name of a tracker, such as dcgs_tracker, that must be among the subscribers before the '
+        'start, and that no frame is played too soon for; empty: none.',
     )
     color_frame: str = described(
         'camera_color_optical_frame', 'Frame of the images, z forward, x right.'

@@ -15,8 +15,7 @@ from .jit import inlined, kernel
 _STEPS = 30  # each at least halves the error; the corner of a wide-angle image needs about 20
 
 
-@inlined
-def distortion_at(camera, x, y):
+def _distortion_at(camera, x, y):
     """Return the radial factor and the tangential shift: x_d = x radial + shift_x.
 
     `camera` (12,); x and y are undistorted normalised coordinates x/z, y/z.
@@ -29,6 +28,26 @@ def distortion_at(camera, x, y):
     shift_x = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     shift_y = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
     return radial, shift_x, shift_y
+
+
+distortion_at = inlined(_distortion_at)
+
+
+def inversion_errors(camera, pixels):
+    """Return how far (N,) pixels (N, 2) are off once they are undistorted and distorted again.
+
+    `camera` (12,). Without a kernel, whose loading would take longer than this.
+    """
+    targets = ((pixels - camera[2:4]) / camera[:2]).T
+    x, y = targets
+    with np.errstate(all='ignore'):  # what cannot be inverted may go anywhere
+        for _ in range(_STEPS):
+            radial, shift_x, shift_y = _distortion_at(camera, x, y)
+            x, y = (targets[0] - shift_x) / radial, (targets[1] - shift_y) / radial
+        radial, shift_x, shift_y = _distortion_at(camera, x, y)
+        off = np.stack([x * radial + shift_x, y * radial + shift_y]) - targets
+        errors = np.hypot(*(off.T * camera[:2]).T)
+    return np.where(np.isfinite(errors), errors, np.inf)
 
 
 @kernel

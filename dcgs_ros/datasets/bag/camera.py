@@ -6,7 +6,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +18,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
-from ...core.errors import DcgsError
+from ...core.errors import DcgsError, FrameError
+from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
-from ...io.ros_images import MessageError, depth_unit, read_camera
+from ...io.images.transports import (
+    encoding_of,
+    image_size,
+    is_compressed,
+    read_color,
+    read_depth,
+)
+from ...io.ros_images import (
+    MessageError,
+    UnknownEncodingError,
+    depth_unit,
+    is_rectified,
+)
 from ..camera_presets import PRESETS
-from ..images.depth_registration import register_depth
+from ..images.camera_timeline import check_same
+from ..images.registration import (
+    Registration,
+    Stream,
+    find_registration,
+    rectified,
+)
+from ..images.resampling import scaled
+from ..options import AS_STORED, RegistrationChoice, SourceOptions
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
-from .extrinsics import find_T_colorcam_depthcam, first_messages
-from .images import color_of, depth_of, image_size, is_compressed
-from .recording import custom_data
+from .camera_info import first_camera
+from .extrinsics import find_T_colorcam_depthcam
+from .images import color_of, depth_of
+from .messages import decode
+from .recording import custom_data, first_messages, raw_messages
+from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
 _SENSOR_ADDED = {
@@ -32,17 +60,8 @@ _SENSOR_ADDED = {
     'color_readout_ms',
     'stamp_ms',
 }  # older recordings lack them
+_FEW = 5  # images at the beginning: some may be damaged
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
-
-_SAME_PX = 0.5  # intrinsics that differ by less count as the same camera
-
-
-@dataclass(frozen=True)
-class DepthMount:
-    """A depth camera beside the colour camera."""
-
-    camera: PinholeCamera
-    T_colorcam_depthcam: NDArray[np.float64]  # (4, 4) metres
 
 
 @dataclass(frozen=True)
@@ -50,24 +69,36 @@ class RecordedCamera:
     """How to make frames of a recording's images."""
 
     topics: CameraTopics
-    camera: PinholeCamera
+    color_camera: Camera  # of the colour images, when the recording begins
+    depth_camera: Camera | None  # by its own CameraInfo
+    depth_size: tuple[int, int]  # width and height
+    registration: Registration
     sensor: SensorNoise
     depth_per_metre: float  # value of a depth pixel at one metre
-    mount: DepthMount | None  # None: depth is recorded registered to colour
     as_published: bool  # raw, registered, in ROS's units: messages can be replayed unchanged
+    is_given: bool  # colour's camera, whatever its CameraInfo says
 
-    def images(self, color: Any, depth: Any) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    @property
+    def camera(self) -> PinholeCamera:
+        """Camera of the frames."""
+        return self.registration.camera
+
+    def images(
+        self, color: Any, depth: Any, color_now: Camera | None, depth_now: Camera | None
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return colour and registered depth in metres of two messages.
 
-        Raises `FrameError` or `MessageError`.
+        `color_now` and `depth_now` are what their CameraInfo say then, if there are any. Raises
+        `FrameError` or `MessageError`.
         """
-        pixels = color_of(color, self.camera)
-        if self.mount is None:
-            return pixels, depth_of(depth, self.camera, self.depth_per_metre)
-        depth_m = depth_of(depth, self.mount.camera, self.depth_per_metre)
-        return pixels, register_depth(
-            depth_m, self.mount.camera, self.mount.T_colorcam_depthcam, self.camera
-        )
+        if color_now is None or self.is_given:
+            color_now = self.color_camera
+        check_same(color_now, self.color_camera)
+        pixels = color_of(color, color_now)
+        own = None if self.depth_camera is None else depth_now or self.depth_camera
+        sized = own or scaled(color_now, *self.depth_size)
+        depth_m = depth_of(depth, sized, self.depth_per_metre)
+        return self.registration(pixels, depth_m, color_now, own)
 
 
 def find_camera(
@@ -75,7 +106,7 @@ def find_camera(
     text: str | None = None,
     color_topic: str | None = None,
     depth_topic: str | None = None,
-    depth_per_metre: float | None = None,
+    options: SourceOptions = AS_STORED,
 ) -> RecordedCamera:
     """Find the camera's topics and read its parameters.
 
@@ -84,68 +115,97 @@ def find_camera(
     """
     topics = camera_topics(path, color_topic, depth_topic)
     try:
-        first = first_messages(path, (topics.color, topics.depth))
-        for topic in (topics.color, topics.depth):
-            if topic not in first:
-                raise SourceError(f'no message of {topic} can be read')
-        first.update(first_messages(path, filter(None, (topics.camera_info, topics.depth_info))))
-        camera = _color_camera(text, topics, first)
-        mount = _find_mount(path, topics, first)
-        sensor = _find_sensor(path, text, camera, mount)
-        unit = _standard_unit(first[topics.depth])
-        per_metre = depth_per_metre or _depth_per_metre(path, topics, unit)
+        first = {
+            topics.color: _first_image(path, topics.color, read_color),
+            topics.depth: _first_image(path, topics.depth, read_depth),
+        }
+        color = _color_camera(path, text, topics, first)
+        size = color.width, color.height
+        sizes = [size, _usual_size(path, topics.depth) or size]
+        depth, _ = first_camera(path, topics.depth_info, topics.depth)
+        asked = options.depth_registration
+        registered = _registration(path, topics, first, sizes, color, depth, asked)
+        sensor = _find_sensor(path, text, registered, depth)
+        unit = depth_unit(encoding_of(first[topics.depth]))
+        per_metre = options.depth_per_metre or _depth_per_metre(path, topics, unit)
         compressed = any(is_compressed(first[topic]) for topic in (topics.color, topics.depth))
-        as_published = mount is None and per_metre == unit and not compressed
-        return RecordedCamera(topics, camera, sensor, per_metre, mount, as_published)
+        plain = registered.as_recorded and sizes[0] == sizes[1] and registered.camera == color
+        plain = plain and not is_rectified(topics.color)  # else CameraInfo is not these images'
+        return RecordedCamera(
+            topics, color, None if registered.by_size else depth, sizes[1], registered, sensor,
+            per_metre, plain and per_metre == unit and not compressed, text is not None,
+        )  # fmt: skip
     except DcgsError as error:
         raise SourceError(f'{path}: {error}') from error
 
 
-def _color_camera(text: str | None, topics: CameraTopics, first: dict[str, Any]) -> PinholeCamera:
+def _first_image(path: Path | str, topic: str, read: Callable[[Any], object]) -> Any:
+    """Return the first image that can be read, of the first few, or else the first one.
+
+    Raises `SourceError` where there is none, and where none is encoded so that it can be read.
+    """
+    found = []
+    with suppress(DamagedError):  # reported with the frames
+        for message in islice(raw_messages(path, [topic]), _FEW):
+            with suppress(FrameError, MessageError):
+                found.append(decode(message.cdr, message.type))
+                try:
+                    read(found[-1])
+                except UnknownEncodingError as error:
+                    raise SourceError(f'{topic}: {error}') from error
+                return found[-1]
+    if not found:
+        raise SourceError(f'no message of {topic} can be read')
+    return found[0]
+
+
+def _color_camera(
+    path: Path | str, text: str | None, topics: CameraTopics, first: dict[str, Any]
+) -> Camera:
     if text is not None and text in PRESETS:
         return PRESETS[text].camera
     if text is not None:
         return parse_intrinsics(text, *image_size(first[topics.color]))
-    if topics.camera_info not in first:
-        raise SourceError(
-            f'no CameraInfo beside {topics.color}; '
-            f'give --camera {"|".join(PRESETS)} or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]'
-        )
-    return read_camera(first[topics.camera_info])
+    camera, error = first_camera(path, topics.camera_info, topics.color)
+    if camera is not None:
+        return camera
+    what = f'no CameraInfo beside {topics.color}'
+    if error is not None:
+        what = f'no CameraInfo of {topics.camera_info} can be used: {error}'
+    raise SourceError(
+        f'{what}; give --camera {"|".join(PRESETS)} or fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]'
+    )
 
 
-def _find_mount(
-    path: Path | str, topics: CameraTopics, first: dict[str, Any]
-) -> DepthMount | None:
-    """Read the depth camera's extrinsics; None if depth is registered to colour."""
-    color_info = first.get(topics.camera_info or '')
-    depth_info = first.get(topics.depth_info or '')
+def _usual_size(path: Path | str, topic: str) -> tuple[int, int] | None:
+    """Return the width and height that most of the first images have: one may be damaged."""
+    sizes: Counter[tuple[int, int]] = Counter()
+    with suppress(DamagedError):
+        for message in islice(raw_messages(path, [topic]), _FEW):
+            with suppress(MessageError, FrameError):
+                sizes[image_size(decode(message.cdr, message.type))] += 1
+    return max(sizes, key=lambda size: sizes[size], default=None)
+
+
+def _registration(
+    path: Path | str,
+    topics: CameraTopics,
+    first: dict[str, Any],
+    sizes: list[tuple[int, int]],
+    color: Camera,
+    depth: Camera | None,
+    asked: RegistrationChoice,
+) -> Registration:
+    """Return how depth comes onto colour's pixels."""
+    names = topics.color, topics.depth
     frames = first[topics.color].header.frame_id, first[topics.depth].header.frame_id
-    T_colorcam_depthcam: NDArray[np.float64] | None = np.eye(4)
-    # RealSense Viewer records unregistered images, and its frame ids are numbers.
-    if viewer_stream(topics.depth) is not None or (all(frames) and frames[0] != frames[1]):
-        T_colorcam_depthcam = find_T_colorcam_depthcam(path, topics, frames)
-    elif color_info is None or depth_info is None or _same(color_info, depth_info):
-        return None
-    if T_colorcam_depthcam is None or depth_info is None:
-        missing = 'extrinsics' if T_colorcam_depthcam is None else 'CameraInfo'
-        raise SourceError(
-            f'{topics.depth} is in frame {frames[1]!r}, {topics.color} in {frames[0]!r}: depth is '
-            f'not registered to colour, and no {missing} to do it is recorded; record with '
-            'align_depth.enable:=true (rs_launch.py of realsense2_camera)'
-        )
-    return DepthMount(read_camera(depth_info), T_colorcam_depthcam)
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Return whether two CameraInfo describe the same pixels."""
-    sizes = (one.width, one.height) == (other.width, other.height)
-    return sizes and np.allclose(one.k, other.k, rtol=0.0, atol=_SAME_PX)
-
-
-def _standard_unit(depth: Any) -> float:
-    """Return the value at one metre of an Image or CompressedImage of depth in ROS's units."""
-    return depth_unit(depth.format if is_compressed(depth) else depth.encoding)
+    if viewer_stream(topics.depth) is not None:  # it records unregistered images, and frame ids
+        frames = names  # that are numbers
+    streams = [Stream(*what) for what in zip(names, frames, sizes, (color, depth), strict=True)]
+    return find_registration(
+        asked, streams[0], color, streams[1],
+        lambda: find_T_colorcam_depthcam(path, topics, frames),
+    )  # fmt: skip
 
 
 def _depth_per_metre(path: Path | str, topics: CameraTopics, standard: float) -> float:
@@ -161,7 +221,7 @@ def _depth_per_metre(path: Path | str, topics: CameraTopics, standard: float) ->
 
 
 def _find_sensor(
-    path: Path | str, text: str | None, camera: PinholeCamera, mount: DepthMount | None
+    path: Path | str, text: str | None, registration: Registration, depth: Camera | None
 ) -> SensorNoise:
     """Return the recorded noise, the preset's, or a D435i's of that focal length or mode."""
     recorded = custom_data(path).get(SENSOR_KEY)
@@ -169,9 +229,9 @@ def _find_sensor(
         return _parse_sensor(recorded)
     if text is not None and text in PRESETS:
         return PRESETS[text].sensor
-    if mount is not None:
-        return SensorNoise.realsense(mount.camera.focal)
-    return PRESETS.get(f'd435i_{camera.width}', PRESETS['d435i']).sensor
+    if depth is not None and not registration.by_size:
+        return SensorNoise.realsense(rectified(depth).focal)
+    return PRESETS.get(f'd435i_{registration.camera.width}', PRESETS['d435i']).sensor
 
 
 def _parse_sensor(text: str) -> SensorNoise:

@@ -13,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.trajectory import Trajectory
-from ...io.ros_images import MessageError
+from ...io.ros_images import MessageError, is_rectified
 from ..images.association import pair_stamps
+from ..images.camera_timeline import CameraTimeline
 from ..images.indexed_frames import stamp_of_index
 from ..images.stamps import OrderedStamps, order_stamps
 from ..options import AS_STORED, SourceOptions
 from ..source import BadFrame, SourceError
+from .camera_info import InfoReader
 from .extrinsics import read_transform
 from .messages import POSE, RawMessage, decode, read_header
 from .recording import raw_messages
 from .recovery.losses import DamagedError
-from .topics import GROUNDTRUTH_TOPIC
+from .topics import GROUNDTRUTH_TOPIC, CameraTopics
 
 
 class RecordedImage(NamedTuple):
@@ -50,38 +52,45 @@ class RecordingContents:
     groundtruth: Trajectory | None
     lost: list[BadFrame]  # unreadable messages, and what else of a damaged recording is lost
     notes: tuple[str, ...]  # what was left out, or changed of the stamps
+    cameras: dict[str, CameraTimeline]  # by topic of their CameraInfo
 
 
 def read_contents(
-    path: Path | str, color: str, depth: str, options: SourceOptions = AS_STORED
+    path: Path | str, topics: CameraTopics, options: SourceOptions = AS_STORED
 ) -> RecordingContents:
-    """Read the headers of the images, and the ground truth's poses.
+    """Read the headers of the images, their CameraInfo, and the ground truth's poses.
 
     Raises `SourceError` if no colour and depth image are a pair, or stamps are missing.
     """
-    stamps: dict[str, list[int]] = {color: [], depth: []}
+    stamps: dict[str, list[int]] = {topics.color: [], topics.depth: []}
+    images = {topics.camera_info: topics.color, topics.depth_info: topics.depth}
+    infos = {topic: InfoReader(is_rectified(name)) for topic, name in images.items() if topic}
     poses: dict[int, NDArray[np.float64]] = {}
     lost = []
     number = 0
     try:
         for number, message in enumerate(
-            raw_messages(path, (*stamps, GROUNDTRUTH_TOPIC), heads=True), 1
+            raw_messages(path, (*stamps, *infos, GROUNDTRUTH_TOPIC), heads=True), 1
         ):
             try:
                 if message.topic in stamps:
                     stamps[message.topic].append(read_header(message.cdr)[0])
+                elif message.topic in infos:
+                    infos[message.topic].read(message)
                 elif message.type == POSE:
                     poses.setdefault(*_read_pose(message))
             except MessageError as error:
                 lost.append(BadFrame(f'message {number} ({message.topic})', str(error)))
     except DamagedError as error:
         lost.append(BadFrame('end of the recording', str(error)))
+    color, depth = topics.color, topics.depth
     try:
         pairs, notes = _paired(str(path), color, stamps[color], depth, stamps[depth], options)
     except SourceError as error:
         damage = f'; {lost[-1].name}: {lost[-1].reason}' if lost else ''
         raise SourceError(f'{error}{damage}') from None
-    return RecordingContents(pairs, _trajectory(poses), lost, notes)
+    cameras = {topic: reader.timeline for topic, reader in infos.items()}
+    return RecordingContents(pairs, _trajectory(poses), lost, notes, cameras)
 
 
 def _read_pose(message: RawMessage) -> tuple[int, NDArray[np.float64]]:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,10 @@ from ...core import se3
 from ...io.ros_images import MessageError
 from ...io.trajectory import QUATERNION_NORM_TOLERANCE
 from .messages import decode
-from .recording import raw_messages
+from .recording import first_messages, raw_messages
 from .recovery.losses import DamagedError
-from .topics import STATIC_TOPIC, CameraTopics, stream_of, viewer_stream
+from .streams import stream_of
+from .topics import STATIC_TOPIC, CameraTopics, viewer_stream
 
 _FARTHEST_M = 1e9  # from the origin; a larger number is corrupt
 _ROTATION_TOLERANCE = 1e-3  # of R^T R against the identity; devices use 32-bit floats
@@ -51,20 +51,6 @@ def find_T_colorcam_depthcam(
     if message := first_messages(path, [name]).get(name):
         return _from_columns(message.rotation, message.translation)
     return transform_between(_static_transforms(path), *(frame.lstrip('/') for frame in frames))
-
-
-def first_messages(path: Path | str, topics: Iterable[str]) -> dict[str, Any]:
-    """Return the first readable message of each of the topics that have one."""
-    wanted = set(topics)
-    found: dict[str, Any] = {}
-    with suppress(DamagedError):  # reported with the frames
-        for message in raw_messages(path, wanted):
-            if message.topic not in found:
-                with suppress(MessageError):
-                    found[message.topic] = decode(message.cdr, message.type)
-            if len(found) == len(wanted):
-                break
-    return found
 
 
 def read_transform(translation: Any, rotation: Any) -> NDArray[np.float64]:

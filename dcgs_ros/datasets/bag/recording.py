@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from ...io.ros_images import MessageError
 from ..source import SourceError
-from .messages import RawMessage, as_source_error
-from .recovery.losses import RecordingLosses
+from .messages import RawMessage, as_source_error, decode
+from .recovery.losses import DamagedError, RecordingLosses
 from .storage.compression import plain_file
 from .storage.files import find_files, storage_of
 from .storage.mcap import mcap_types, read_mcap, read_mcap_heads
@@ -72,6 +74,20 @@ def topic_types(path: Path | str) -> dict[str, str]:
     if len(errors) == len(files):
         raise SourceError(f'{path}: cannot be read: {"; ".join(errors)}')
     return types
+
+
+def first_messages(path: Path | str, topics: Iterable[str]) -> dict[str, Any]:
+    """Return the first readable message of each of the topics that have one."""
+    wanted = set(topics)
+    found: dict[str, Any] = {}
+    with suppress(DamagedError):  # reported with the frames
+        for message in raw_messages(path, wanted):
+            if message.topic not in found:
+                with suppress(MessageError):
+                    found[message.topic] = decode(message.cdr, message.type)
+            if len(found) == len(wanted):
+                break
+    return found
 
 
 def custom_data(path: Path | str) -> dict[str, str]:

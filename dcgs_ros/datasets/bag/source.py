@@ -12,10 +12,12 @@ from pathlib import Path
 from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
+from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
 from ...io.ros_images import MessageError
 from ...io.trajectory import format_stamp_ns, read_tum
+from ..images.registration import AS_RECORDED
 from ..options import AS_STORED, SourceOptions
 from ..source import BadFrame, ImuSample, sequence_name
 from .camera import RecordedCamera, find_camera
@@ -36,7 +38,9 @@ class BagSource:
     `camera` is a preset or `fx,fy,cx,cy[,k1,k2,p1,p2[,k3]]` in pixels instead of the recorded
     CameraInfo; `groundtruth` a trajectory file instead of the recorded poses. The topics are found
     unless they are given. Depth that is not registered to colour is registered with the recorded
-    extrinsics. Opening reads all messages once, for their stamps, and keeps none.
+    extrinsics; `options.depth_registration` overrides whether it is. Intrinsics that change
+    are followed: all frames are those of one camera. Opening reads all messages once, for their
+    stamps, and keeps none.
 
     Raises a `DcgsError` that names the topics or stamps that do not match. Of a damaged recording
     the readable part is read; the losses are the last `BadFrame`s.
@@ -61,14 +65,15 @@ class BagSource:
         """Find the camera and pair the stamps."""
         self._path = path
         self.name = sequence_name(path)
-        unit = options.depth_per_metre
-        self.recorded = find_camera(path, camera, color_topic, depth_topic, unit)
+        self.recorded = find_camera(path, camera, color_topic, depth_topic, options)
         self.camera, self.sensor = self.recorded.camera, self.recorded.sensor
         self.depth_per_metre = self.recorded.depth_per_metre
-        topics = self.recorded.topics
-        self._contents = read_contents(path, topics.color, topics.depth, options)
+        self._contents = read_contents(path, self.recorded.topics, options)
         self.groundtruth = self._contents.groundtruth
         self.notes = [*self._contents.notes]
+        if self.recorded.registration.reason != AS_RECORDED:
+            depth = self.recorded.topics.depth
+            self.notes.append(f'{depth} is registered {self.recorded.registration.reason}')
         if groundtruth is not None:
             self.groundtruth = read_tum(groundtruth, self.notes)
 
@@ -87,8 +92,10 @@ class BagSource:
                 if color is None or depth is None:
                     raise FrameError(f'not there, or more than {_MAX_WAITING} images late')
                 images = self.recorded.images(
-                    decode(color.cdr, color.type), decode(depth.cdr, depth.type)
-                )
+                    decode(color.cdr, color.type), decode(depth.cdr, depth.type),
+                    self._camera_at(topics.camera_info, pair.color.header_ns),
+                    self._camera_at(topics.depth_info, pair.depth.header_ns),
+                )  # fmt: skip
                 frame: RgbdFrame | BadFrame = RgbdFrame(pair.color_ns, pair.depth_ns, *images)
             except (FrameError, MessageError) as error:
                 stamp = format_stamp_ns(pair.color_ns)
@@ -96,6 +103,10 @@ class BagSource:
                 frame = BadFrame(name, str(error))
             yield frame
         yield from self._contents.lost
+
+    def _camera_at(self, topic: str | None, stamp_ns: int) -> Camera | None:
+        timeline = self._contents.cameras.get(topic or '')
+        return None if timeline is None else timeline.at(stamp_ns)
 
     def imu(self) -> Iterator[ImuSample]:
         """Read the measurements of all IMUs, in order of their stamps."""

@@ -17,10 +17,11 @@ from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.sensor import SensorNoise
 from ...core.trajectory import Trajectory
+from ...io.images.decoding import read_color_file, read_depth_file
 from ..camera_presets import CameraPreset
 from ..source import BadFrame, ImuSample, SourceError, sequence_name
 from .association import StampPair
-from .decoding import read_color_file, read_depth_file
+from .registration import SizeRegistration, same_shape
 
 # Colour (H, W, 3) RGB, depth (H, W) in metres.
 ColorDepth = tuple[NDArray[np.uint8], NDArray[np.float32]]
@@ -61,8 +62,17 @@ class ImageSequence:
         ] = already_registered,
         notes: Sequence[str] = (),
     ) -> ImageSequence:
-        """Make a sequence with the preset's camera, noise and unit, named after its folder."""
+        """Make a sequence with the preset's camera, noise and unit, named after its folder.
+
+        Depth that is smaller or larger than colour, of the same shape, is scaled to it.
+        """
         camera, sensor, unit = preset.camera, preset.sensor, preset.depth_per_metre
+        if register is already_registered:
+            by_size = _by_size(folder, pairs, camera)
+            if by_size is not None:
+                camera, register = by_size.camera, by_size
+                width, height = by_size.depth_size
+                notes = (*notes, f'depth of {width}x{height} pixels is scaled to those of colour')
         name = sequence_name(folder)
         return cls(name, folder, pairs, camera, sensor, unit, groundtruth, register, notes)
 
@@ -99,6 +109,20 @@ class ImageSequence:
                     f"the camera's images are {size[1]}x{size[0]}"
                 )
         return RgbdFrame(pair.color.stamp_ns, pair.depth.stamp_ns, color, depth_m)
+
+
+def _by_size(
+    folder: Path, pairs: Sequence[StampPair], camera: PinholeCamera
+) -> SizeRegistration | None:
+    """Return what scales depth to the size of colour, if it has another one."""
+    size = camera.width, camera.height
+    try:
+        found = depth_size(folder, (pair.depth.path for pair in pairs))
+        if found == size or not same_shape(found, size) or color_size(folder, pairs) != size:
+            return None
+    except SourceError:  # said of each frame
+        return None
+    return SizeRegistration(camera, found)
 
 
 def color_size(folder: Path, pairs: Sequence[StampPair]) -> tuple[int, int]:

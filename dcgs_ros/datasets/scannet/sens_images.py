@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FrameError
-from ..images.decoding import decode_color, encoded_size
+from ...io.images.decoding import decode_color, encoded_size
 
 RAW_COLOR, PNG_COLOR, JPEG_COLOR = range(3)
 RAW_DEPTH, ZLIB_DEPTH, OCCI_DEPTH = range(3)

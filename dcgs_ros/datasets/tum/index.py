@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from ...core.errors import FrameError
+from ...io.images.decoding import read_depth_file
 from ...io.trajectory import data_rows, parse_stamp_ns
 from ..images.association import StampedPath
-from ..images.decoding import read_depth_file
 from ..images.pairing import PairedImages, pair_images, pair_rows
 from ..options import SourceOptions
 from ..source import SourceError

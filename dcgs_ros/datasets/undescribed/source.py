@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from ...core.sensor import SensorNoise
+from ...io.images.decoding import read_depth_file
 from ..camera_presets import PRESETS, TUM_DEPTH_PER_METRE
 from ..images.association import StampedPath, StampPair
-from ..images.decoding import read_depth_file
 from ..images.file_patterns import find_images, pair_by_name, pair_by_order
 from ..images.pairing import PairedImages
 from ..images.sequence import ImageSequence, color_size

@@ -36,7 +36,13 @@ _POLL_S = 0.02
 class Observer:
     """Watches the topics of tracker and mapper, under their default names, in its own thread."""
 
-    def __init__(self, domain: int, with_map: bool = False, discovery: str = 'LOCALHOST') -> None:
+    def __init__(
+        self,
+        domain: int,
+        with_map: bool = False,
+        discovery: str = 'LOCALHOST',
+        namespace: str = '',
+    ) -> None:
         """Subscribe; to the map only on request, since that takes time."""
         self.poses: dict[int, NDArray[np.float64]] = {}  # T_odom_base (4, 4) by stamp
         self.came_s: dict[int, float] = {}  # monotonic
@@ -50,9 +56,9 @@ class Observer:
         prepare()
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node('observer', context=self._context)
+        self.node = Node('observer', context=self._context, namespace=namespace)
         subscribe = self.node.create_subscription
-        info = '/camera/camera/color/camera_info'
+        info = 'camera/camera/color/camera_info'
         subscribe(Odometry, 'dcgs_tracker/odometry', self._on_odometry, RELIABLE)
         subscribe(CameraInfo, info, self._on_info, sensor_qos('best_effort'))
         subscribe(DiagnosticArray, '/diagnostics', self._on_status, RELIABLE)

@@ -19,7 +19,7 @@ from ...core.config.schema import flatten
 from ...core.sensor import SensorNoise
 from ..transport import prepare
 
-_START = 'import sys; from dcgs_ros.nodes.{} import main; sys.exit(main())'
+_START = 'import sys; from dcgs_ros.nodes.start import {} as main; sys.exit(main())'
 _DOMAINS = 101  # whose ports are free on every Linux
 _END_S = 20.0
 _LEAVE_S = 5.0
@@ -46,11 +46,14 @@ class Processes:
         parameters: Mapping[str, Any] | None = None,
         file: Path | None = None,
         prefix: tuple[str, ...] = (),
+        remappings: tuple[tuple[str, str], ...] = (),
     ) -> subprocess.Popen[bytes]:
-        """Start a node: tracker, mapper or replay."""
+        """Start a node: tracker, mapper or replay; `__ns` is remapped to its namespace."""
         command = [*prefix, sys.executable, '-c', _START.format(name), '--ros-args']
         if file is not None:
             command += ['--params-file', str(file)]
+        for name_before, name_after in remappings:
+            command += ['-r', f'{name_before}:={name_after}']
         for key, value in (parameters or {}).items():
             command += ['-p', f'{key}:={_yaml(value)}']
         with open(self._logs / f'{name}-{len(self._running)}.log', 'wb') as log:

@@ -26,9 +26,16 @@ class KeyframeSubscriber:
         """Subscribe to `keyframe/*`."""
         self.queue: WorkQueue[dict[str, Any]] = WorkQueue(_WAITING_KEYFRAMES)
         self._joiner = Joiner(tuple(TOPICS), _INCOMPLETE)
+        self._node = node
+        self._topics: list[str] = []  # with the namespace
         for name, kind in TOPICS.items():
             on_part = partial(self._on_part, name)
-            node.create_subscription(kind, f'keyframe/{name}', on_part, RELIABLE)
+            made = node.create_subscription(kind, f'keyframe/{name}', on_part, RELIABLE)
+            self._topics.append(made.topic_name)
+
+    def trackers(self) -> int:
+        """Return how many trackers live, as far as discovery knows; killed ones do for a while."""
+        return max(self._node.count_publishers(topic) for topic in self._topics)
 
     def _on_part(self, name: str, message: Any) -> None:
         parts = self._joiner.add(name, stamp_ns(message.header.stamp), message)

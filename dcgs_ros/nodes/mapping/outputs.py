@@ -37,6 +37,7 @@ class MapOutputs:
     def __init__(self, node: Node, settings: MapperNodeSettings) -> None:
         """Advertise the topics."""
         self._settings = settings
+        self.world = settings.odom_frame  # frame that the map is in
         advertise = node.create_publisher
         self._map = advertise(PointCloud2, 'gaussian_map', latched(1))
         self._updates = advertise(PointCloud2, 'gaussian_map_updates', latched(UPDATES_KEPT))
@@ -80,17 +81,17 @@ class MapOutputs:
             self._whole_s = time.monotonic() + (1.0 / rate_hz if rate_hz > 0 else 0.0)
 
     def _cloud(self, rows: NDArray[Any]) -> PointCloud2:
-        return write_cloud(rows, header(self._stamp_ns, self._settings.odom_frame))
+        return write_cloud(rows, header(self._stamp_ns, self.world))
 
     def keyframes(self, mapper: Mapper | None) -> None:
         """Publish which keyframes there are; the tracker sends what is not among them."""
         rows = keyframe_rows([] if mapper is None else mapper.views)
-        in_world = header(_newest_ns(mapper), self._settings.odom_frame)
+        in_world = header(_newest_ns(mapper), self.world)
         self._received.publish(write_cloud(rows, in_world))
 
     def answer(self, update: MapUpdate, stamp_ns: int) -> None:
         """Publish for the tracker what became of its Gaussians."""
-        self._answers.publish(write_answer(update, stamp_ns, self._settings.odom_frame))
+        self._answers.publish(write_answer(update, stamp_ns, self.world))
 
     def render_due(self) -> bool:
         """Return whether a view is due and subscribed to."""

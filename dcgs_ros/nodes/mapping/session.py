@@ -23,20 +23,30 @@ from ...io.map_archive import write_map
 from ...io.ply import write_ply
 from ...io.snapshot import saved_map
 from ..health import Level, Verdict
+from ..messages.ids import same_tracker
 from ..messages.packet import KeyframePacket
 
 _RATE_WINDOW_S = 5.0  # over which steps per second are counted
+_FOREIGN_S = 10.0  # that another tracker is spoken of after its last keyframe
+_NO_TRACKER = 'no tracker runs in this namespace'
 _BEHIND = 8  # waiting keyframes that are worth a warning
 
 
 class MappingSession:
     """One map after the other: the first usable keyframe of a new epoch begins a new one.
 
+    While the tracker of the map lives, keyframes of other trackers are refused.
+
     All but `judge` and `figures` belongs to one thread.
     """
 
-    def __init__(self, config: Config, warn: Callable[[str], None]) -> None:
-        """Wait for the first keyframe; `warn` gets the lines for the log."""
+    def __init__(
+        self, config: Config, warn: Callable[[str], None], trackers: Callable[[], int] = lambda: 1
+    ) -> None:
+        """Wait for the first keyframe; `warn` gets the lines for the log.
+
+        `trackers` returns how many trackers live.
+        """
         self.config, self._warn = config, warn
         self._workers = Workers(mapper_threads(config, online=True))
         self.mapper: Mapper | None = None
@@ -44,6 +54,9 @@ class MappingSession:
         self.camera_frame = ''  # frame_id of the images, as last received
         self.stamps: set[int] = set()  # of the keyframes in the map
         self.refused = 0
+        self.refusal = ''  # why the last keyframe could not be used
+        self.foreign = 0  # keyframes of other trackers
+        self._trackers, self._foreign_s = trackers, -_FOREIGN_S
         self._received_s: float | None = None  # monotonic time of the last keyframe
         self._steps_since_keyframe = 0
         self._counted, self._counted_s, self.steps_per_s = 0, time.monotonic(), 0.0
@@ -51,10 +64,12 @@ class MappingSession:
     def insert(self, packet: KeyframePacket) -> MapUpdate | None:
         """Insert a keyframe or a view; return None where it is here already or is refused.
 
-        Views do not tell their epoch: before the first keyframe they are ignored.
+        Views of a map of which no keyframe has come are ignored.
         """
         begins = packet.epoch not in (0, self.epoch)
         mapper = self.mapper
+        if begins and (not packet.carries_gaussians or self._holds_against(packet.epoch)):
+            return None
         if begins:
             mapper = Mapper(packet.camera, self.config, workers=self._workers)
         if mapper is None or (packet.stamp_ns in self.stamps and not begins):
@@ -69,13 +84,20 @@ class MappingSession:
         self.stamps.add(packet.stamp_ns)
         self.camera_frame = packet.camera_frame
         self._received_s = time.monotonic()
-        self._steps_since_keyframe = 0
+        self._steps_since_keyframe, self.refusal = 0, ''
         return mapper.update()
 
     def refuse(self, error: DcgsError) -> None:
         """Count a keyframe that cannot be used, and warn."""
-        self.refused += 1
+        self.refused, self.refusal = self.refused + 1, str(error)
         self._warn(f'keyframe refused: {error}')
+
+    def _holds_against(self, epoch: int) -> bool:
+        """Return whether a new map is of another tracker while that of this map lives."""
+        if self.mapper is None or same_tracker(epoch, self.epoch) or self._trackers() < 2:
+            return False
+        self.foreign, self._foreign_s = self.foreign + 1, time.monotonic()
+        return True
 
     def _begin(self, mapper: Mapper, epoch: int) -> None:
         if self.mapper is not None:
@@ -140,15 +162,23 @@ class MappingSession:
     def judge(self, waiting: int) -> Verdict:
         """Return how mapping goes while so many keyframes wait."""
         if self.mapper is None or self._received_s is None:
-            text = 'no keyframes yet: is the tracker running and tracking?'
+            what = 'is the tracker running and tracking?' if self._trackers() else _NO_TRACKER
+            text = f'no keyframes yet: {what}'
             return Verdict(Level.WARN, text)
+        if time.monotonic() - self._foreign_s < _FOREIGN_S:
+            text = f'another tracker speaks: its keyframes, {self.foreign} so far, are refused'
+            return Verdict(Level.WARN, f'{text}; stop it, or give each robot its own namespace')
+        if self.refusal:
+            return Verdict(Level.WARN, f'keyframe refused: {self.refusal}', logged=True)
         if waiting > _BEHIND:
             return Verdict(Level.WARN, f'{waiting} keyframes wait: the mapper is behind')
         return Verdict(Level.OK, 'mapping')
 
     def figures(self) -> dict[str, Any]:
         """Return what diagnostics show of mapping."""
-        shown: dict[str, Any] = {'refused': self.refused, 'steps_per_s': self.steps_per_s}
+        shown: dict[str, Any] = {
+            'refused': self.refused, 'foreign': self.foreign, 'steps_per_s': self.steps_per_s,
+        }  # fmt: skip
         mapper = self.mapper
         if mapper is not None:
             shown |= {

@@ -2,18 +2,41 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Ids of Gaussians between the nodes; those of two maps never coincide.
 
-Each map has a number, its epoch, from 1 to 2^20 - 1. Between the nodes the tracker's Gaussian k
+Each map has a number, its epoch, below 2^20. Between the nodes the tracker's Gaussian k
 has the id epoch * 2^32 + k, which a FLOAT64 field holds exactly. Ids below 0 are those of the
-Gaussians that the mapper added.
+Gaussians that the mapper added. The maps of one tracker share all but the last bits of the epoch.
 """
 
 from __future__ import annotations
+
+import secrets
 
 import numpy as np
 from numpy.typing import NDArray
 
 EPOCH = 1 << 32
 EPOCHS = 1 << 20
+_MAPS = 1 << 7  # epochs of one tracker
+
+
+def first_epoch() -> int:
+    """Draw the number of a tracker's first map, so that those of two trackers do not coincide."""
+    return _MAPS + secrets.randbelow(EPOCHS - _MAPS)
+
+
+def next_epoch(epoch: int) -> int:
+    """Return the number of the next map of the tracker whose last one was `epoch`."""
+    return epoch - epoch % _MAPS + (epoch + 1) % _MAPS
+
+
+def is_epoch(number: int) -> bool:
+    """Return whether a number can be that of a map."""
+    return _MAPS <= number < EPOCHS
+
+
+def same_tracker(epoch: int, other: int) -> bool:
+    """Return whether two maps are of one tracker."""
+    return epoch // _MAPS == other // _MAPS
 
 
 def joined_ids(epoch: int, ids: NDArray[np.int64]) -> NDArray[np.int64]:

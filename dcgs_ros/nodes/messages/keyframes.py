@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from ...core import se3
+from ...core.camera import PinholeCamera
 from ...core.frame import RgbdFrame
 from ...core.keyframe import Keyframe, MapUpdate, PosedFrame
 from ...io.ros_images import MessageError, read_camera, read_color, read_depth, stamp_ns
 from .clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
-from .ids import EPOCH, joined_ids, split_ids
+from .ids import EPOCH, is_epoch, joined_ids, split_ids
 from .images import header, write_camera, write_color, write_depth_mm
 from .packet import KeyframePacket
 from .poses import matrix, pose_stamped
@@ -35,6 +36,7 @@ TOPICS: dict[str, type] = {
 def write_keyframe(packet: KeyframePacket, world: str) -> dict[str, Any]:
     """Return a message for each of `TOPICS`; a view has an empty `gaussians` cloud.
 
+    The height of an empty cloud, which means nothing, is the number of the map, as in ids.
     `pose` is the camera's at the instant of colour, `depth_pose` at that of depth, both in the
     frame `world`.
     """
@@ -42,13 +44,16 @@ def write_keyframe(packet: KeyframePacket, world: str) -> dict[str, Any]:
     frame, T_world_cam = posed.frame, posed.T_world_cam
     in_camera = header(frame.stamp_ns, packet.camera_frame)
     in_world = header(frame.stamp_ns, world)
+    gaussians = write_cloud(_gaussian_rows(packet), in_world)
+    if not gaussians.width:
+        gaussians.height = packet.epoch
     return {
         'color': write_color(frame.color, in_camera),
         'depth': write_depth_mm(frame.depth_m, in_camera),
         'camera_info': write_camera(packet.camera, in_camera),
         'pose': pose_stamped(T_world_cam, in_world),
         'depth_pose': pose_stamped(T_world_cam @ posed.T_cam_cam_at_depth, in_world),
-        'gaussians': write_cloud(_gaussian_rows(packet), in_world),
+        'gaussians': gaussians,
     }
 
 
@@ -69,8 +74,8 @@ def _gaussian_rows(packet: KeyframePacket) -> NDArray[Any]:
 def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
     """Return the keyframe, or the view where there are no Gaussians, of a message per topic.
 
-    Ids are those between the nodes; the epoch of a view is 0. Raises a `DcgsError` where the
-    messages cannot be used.
+    Ids are those between the nodes; the epoch of a view that does not tell it is 0. Raises a
+    `DcgsError` where the messages cannot be used.
     """
     rows = read_cloud(parts['gaussians'], KEYFRAME_GAUSSIAN)
     ids = _whole_ids(rows)
@@ -86,8 +91,12 @@ def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
         se3.inverse(T_world_cam) @ matrix(parts['depth_pose'].pose),
     )
     camera = read_camera(parts['camera_info'])
+    if not isinstance(camera, PinholeCamera):
+        raise MessageError("a keyframe's camera_info has a lens that its images need not have")
     if not len(ids):
-        return KeyframePacket(0, camera, posed, color.header.frame_id)
+        height = parts['gaussians'].height
+        epoch = height if is_epoch(height) else 0
+        return KeyframePacket(epoch, camera, posed, color.header.frame_id)
     keyframe = Keyframe(
         posed.frame,
         posed.T_world_cam,

@@ -14,7 +14,7 @@ from ...core.keyframe import Keyframe, PosedFrame
 class KeyframePacket:
     """A keyframe, or a view between keyframes, for the mapper."""
 
-    epoch: int  # of the map; 0 where it was received without Gaussians
+    epoch: int  # of the map; 0 where a view does not tell it
     camera: PinholeCamera
     posed: PosedFrame
     camera_frame: str  # frame_id of the images

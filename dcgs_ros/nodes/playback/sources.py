@@ -82,8 +82,7 @@ class BagPlayback:
             topics.color: 'color',
             topics.depth: 'depth',
         }
-        first = next(raw_messages(path, [topics.color]))
-        self.camera_frame = read_header(first.cdr)[1] or camera_frame
+        self.camera_frame = _recorded_frame(path, topics.color, camera_frame)
 
     def items(self) -> Iterator[tuple[int, RawMessage]]:
         """Yield the messages."""
@@ -101,6 +100,12 @@ class BagPlayback:
         return [(self._outputs[item.topic], cdr)]
 
 
+def _recorded_frame(path: Path, topic: str, otherwise: str) -> str:
+    """Return the frame of the first image on a topic, where it has one that is a name."""
+    frame = read_header(next(raw_messages(path, [topic])).cdr)[1]
+    return otherwise if not frame or frame.isdigit() else frame
+
+
 def open_playback(
     source: str, camera: str | None, camera_frame: str, warn: Callable[[str], None]
 ) -> PlaybackSource:
@@ -108,10 +113,13 @@ def open_playback(
 
     Raises a `DcgsError` where it cannot be played.
     """
-    if camera is None and not source.startswith('synthetic:'):  # whose `?` begins no topics
+    if not source.startswith('synthetic:'):  # whose `?` begins no topics
         address, options = split_options(source)
         path, color, depth = split_topics(address)
-        recorded = find_camera(path, None, color, depth) if is_bag(path) else None
-        if recorded is not None and recorded.as_published and options == AS_STORED:
+        recorded = find_camera(path, camera, color, depth, options) if is_bag(path) else None
+        plain = camera is None and options == AS_STORED
+        if recorded is not None and recorded.as_published and plain:
             return BagPlayback(path, recorded.topics, camera_frame, warn)
+        if recorded is not None:
+            camera_frame = _recorded_frame(path, recorded.topics.color, camera_frame)
     return FramePlayback(open_source(source, camera), camera_frame, warn)

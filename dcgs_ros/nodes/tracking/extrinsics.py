@@ -4,30 +4,84 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core import se3
 from ...core.config.nodes import TrackerNodeSettings
 from ...core.config.schema import ConfigError
+from ..messages.odometry import CameraToBase
 from ..transforms import Transforms
 
 # REP 103: the optical frame has z forward and x right, the base x forward and z up.
 LOOKING_FORWARD = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
+_AGAIN_S = 0.2  # between two questions to TF
+_WHO_KNOWS = "start what publishes it, such as robot_state_publisher or the camera's driver"
 _UNIT = 1e-3  # largest distance of a quaternion's length from 1
 
 
-def base_to_camera(
+class Mounting:
+    """Where the camera is on the base: TF is waited for, and taken where it comes even later."""
+
+    def __init__(
+        self, settings: TrackerNodeSettings, transforms: Transforms, warn: Callable[[str], None]
+    ) -> None:
+        """`warn` gets the lines for the log; raises `ConfigError` for an unusable setting."""
+        given_extrinsics(settings)  # raises now rather than at the first frame
+        self._settings, self._transforms, self._warn = settings, transforms, warn
+        self._to_base: CameraToBase | None = None
+        self._asked_s: float | None = None  # monotonic
+        self._due_s = 0.0
+        self.doubt: str | None = None  # what is to be done about it; None: it is certain
+
+    def find(self, camera_frame: str) -> CameraToBase | None:
+        """Return where the camera is; None while that is waited for."""
+        now = time.monotonic()
+        if now >= self._due_s and (self._to_base is None or self.doubt is not None):
+            self._due_s = now + _AGAIN_S
+            self._look(camera_frame, now)
+        return self._to_base
+
+    def _look(self, camera_frame: str, now: float) -> None:
+        settings = self._settings
+        names = f'TF from {settings.base_frame} to {camera_frame}'
+        found = known_extrinsics(settings, self._transforms, camera_frame)
+        if found is not None:
+            if self.doubt is not None:
+                self._warn(f'{names} has come')
+            self._to_base, self.doubt = CameraToBase(found), None
+            return
+        if self._to_base is not None:
+            return
+        self._asked_s = now if self._asked_s is None else self._asked_s
+        wait_s, listens = settings.wait_for_transform_s, self._transforms.listens
+        if listens and now - self._asked_s < wait_s:
+            doubt = f'waiting for {names}, at most {wait_s:g} s: {_WHO_KNOWS}'
+        else:
+            self._to_base = CameraToBase(LOOKING_FORWARD)
+            doubt = (
+                f'no {names}: the camera is taken to look along x from the origin of '
+                f'{settings.base_frame}, and poses are wrong unless it does; '
+                f'{_WHO_KNOWS + ", or " if listens else ""}set node.base_to_camera'
+            )
+        if doubt != self.doubt:
+            self._warn(doubt)
+        self.doubt = doubt if listens else None  # without tf2_ros nothing will come
+
+
+def known_extrinsics(
     settings: TrackerNodeSettings, transforms: Transforms, camera_frame: str
-) -> NDArray[np.float64]:
-    """Return T_base_cam (4, 4), optical frame: as set, else from TF, else looking forward."""
+) -> NDArray[np.float64] | None:
+    """Return T_base_cam (4, 4), optical frame: as set, else from TF; None where that lacks it."""
     given = given_extrinsics(settings)
     if given is not None:
         return given
     if settings.base_frame == camera_frame:
         return np.eye(4)
-    known = transforms.lookup(settings.base_frame, camera_frame)
-    return LOOKING_FORWARD if known is None else known
+    return transforms.lookup(settings.base_frame, camera_frame)
 
 
 def given_extrinsics(settings: TrackerNodeSettings) -> NDArray[np.float64] | None:

@@ -140,7 +140,9 @@ class KeyframeSender:
 
     def _resend(self) -> None:
         """Send the oldest keyframe that the mapper lacks and that is not in flight."""
-        if not self._transport.connected() or not self._has_room(_RESENT_IN_FLIGHT):
+        if self._closed or not self._transport.connected():
+            return
+        if not self._has_room(_RESENT_IN_FLIGHT):
             return
         with self._lock:
             lacking = self._kept.keys() - self._received - self._sent_s.keys()

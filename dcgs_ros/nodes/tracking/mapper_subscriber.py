@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Collection
 from typing import Any
 
+from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -47,13 +48,15 @@ class MapperSubscriber:
         subscribe = node.create_subscription
         subscribe(PointCloud2, 'keyframe/answer', self._on_answer, RELIABLE)
         subscribe(PointCloud2, 'keyframe/received', self._on_received, latched(1))
+        self._has_rival = False  # another tracker that lives
         self._map_subscriptions = [
             subscribe(PointCloud2, 'gaussian_map', self._on_map, latched(1)),
             subscribe(PointCloud2, 'gaussian_map_updates', self._on_update, latched(UPDATES_KEPT)),
+            subscribe(PoseStamped, 'camera_pose', self._on_pose, RELIABLE),
         ]
 
     def resumable(self, wait_s: float) -> Resumable | None:
-        """Wait for a map with Gaussians of a tracker; then no longer subscribe to the map."""
+        """Wait for a map with Gaussians of a tracker that has gone; then no longer subscribe."""
         end = time.monotonic() + wait_s
         if self._complete.wait(wait_s):
             time.sleep(min(_SETTLE_S, max(0.0, end - time.monotonic())))
@@ -61,6 +64,9 @@ class MapperSubscriber:
             self._node.destroy_subscription(subscription)
         rows, keyframes = self._mirror.rows, self._keyframes
         if rows is None or keyframes is None:
+            return None
+        if self._has_rival:
+            self._warn('another tracker is at work here: give each robot its own namespace')
             return None
         try:
             return Resumable.of(rows, read_poses(keyframes), read_stamps(keyframes))
@@ -84,6 +90,9 @@ class MapperSubscriber:
             return
         self._check_complete()
         self._pass_received(read_stamps(self._keyframes))
+
+    def _on_pose(self, _: PoseStamped) -> None:
+        self._has_rival = True
 
     def _on_map(self, cloud: PointCloud2) -> None:
         self._take(self._mirror.whole, cloud)

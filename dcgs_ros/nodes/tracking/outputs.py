@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from rclpy.node import Node
+from std_msgs.msg import Header
 
 from ...core import se3
 from ...core.config.nodes import TrackerNodeSettings
@@ -20,7 +22,7 @@ from ..messages.odometry import CameraToBase, odometry_message
 from ..messages.poses import path, pose_stamped, transform_stamped
 from ..transforms import make_transforms
 from ..transport import RELIABLE
-from .extrinsics import base_to_camera, given_extrinsics
+from .extrinsics import Mounting
 from .trajectory_recorder import TrajectoryRecorder
 
 _MAP_FRAME = 'map'
@@ -30,27 +32,26 @@ _MAX_GAP_S = 0.5  # between two poses that give a velocity
 class TrackerOutputs:
     """Publishes what a tracked frame tells about the base."""
 
-    def __init__(self, node: Node, settings: TrackerNodeSettings) -> None:
+    def __init__(
+        self, node: Node, settings: TrackerNodeSettings, warn: Callable[[str], None]
+    ) -> None:
         """Advertise the topics; raise `ConfigError` where `base_to_camera` is unusable."""
-        given_extrinsics(settings)  # raises now rather than at the first frame
         self._settings, self._transforms = settings, make_transforms(node)
+        self.mounting = Mounting(settings, self._transforms, warn)
         self._recorder = TrajectoryRecorder(settings.save_on_exit)
-        self._to_base: CameraToBase | None = None
         self.world = _MAP_FRAME if settings.tf == 'map_to_odom' else settings.odom_frame
         self._odometry = node.create_publisher(Odometry, '~/odometry', RELIABLE)
         self._pose = node.create_publisher(PoseStamped, '~/pose', RELIABLE)
         self._camera_pose = node.create_publisher(PoseStamped, 'camera_pose', RELIABLE)
+        self._progress = node.create_publisher(Header, '~/progress', RELIABLE)
         self._path = node.create_publisher(Path, '~/path', RELIABLE)
         self._path_poses: list[PoseStamped] = []
         self._path_step, self._path_count, self._path_due_s = 1, 0, 0.0
         self._last: TrackResult | None = None
 
-    def camera_to_base(self, camera_frame: str) -> CameraToBase:
-        """Return where the camera is on the base, as it was at the first call."""
-        if self._to_base is None:
-            T_base_cam = base_to_camera(self._settings, self._transforms, camera_frame)
-            self._to_base = CameraToBase(T_base_cam)
-        return self._to_base
+    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+        """Return TF's T_parent_child (4, 4), metres; None where it does not know it."""
+        return self._transforms.lookup(parent, child)
 
     def publish(self, result: TrackResult, to_base: CameraToBase) -> None:
         """Publish a pose with its covariance in the world, and the velocity since the last one."""
@@ -72,10 +73,20 @@ class TrackerOutputs:
         self._recorder.add(result.stamp_ns, T_world_base)
         self._last = result
 
+    def progress(self, header: Header) -> None:
+        """Tell a replay which frame is done, whatever came of it."""
+        if self._progress.get_subscription_count():
+            self._progress.publish(header)
+
     def forget(self) -> None:
         """Begin a new path."""
         self._path_poses.clear()
         self._path_step, self._last = 1, None
+
+    def remount(self, assumed: NDArray[np.float64], T_base_cam: NDArray[np.float64]) -> None:
+        """Correct where the camera is on the base (4, 4); the path begins anew."""
+        self.forget()
+        self._recorder.remount(assumed, T_base_cam)
 
     def close(self) -> str | None:
         """Write the recorded trajectory; return what was written, if anything."""

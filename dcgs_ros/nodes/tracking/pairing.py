@@ -63,6 +63,12 @@ class ImagePairing(Generic[C, D]):
         """Number of images that came after one of their stream with the same or a later stamp."""
         return self._color.disorder + self._depth.disorder
 
+    @property
+    def apart_s(self) -> float:
+        """Seconds from the newest stamp of depth to that of colour; 0 without either."""
+        color_ns, depth_ns = self._color.latest_ns, self._depth.latest_ns
+        return 0.0 if color_ns is None or depth_ns is None else 1e-9 * (color_ns - depth_ns)
+
     def color(self, stamp_ns: int, item: C) -> list[ImagePair[C, D]]:
         """Take a colour image; return the pairs that are certain now."""
         return self._added(self._color, stamp_ns, item)

@@ -4,16 +4,17 @@
 
 from __future__ import annotations
 
-import secrets
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import se3
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import DcgsError, FrameError
@@ -22,17 +23,12 @@ from ...core.keyframe import MapUpdate, PosedFrame
 from ...core.tracking.result import TrackingState, TrackResult
 from ...core.tracking.selector import KeyframeSelector
 from ...core.tracking.tracker import Tracker
-from ..messages.ids import EPOCHS
+from ..messages.ids import first_epoch, next_epoch
 from ..messages.packet import KeyframePacket
 from .health import numbers
 from .map_mirror import Resumable
 
 _LOOKING = 'looking for the camera in the map'
-
-
-def new_epoch() -> int:
-    """Draw a number for a new map, so that ids of two maps do not coincide."""
-    return 1 + secrets.randbelow(EPOCHS - 1)
 
 
 class TrackingSession:
@@ -45,10 +41,13 @@ class TrackingSession:
         self, config: Config, T_world_first: NDArray[np.float64], warn: Callable[[str], None]
     ) -> None:
         """Wait for the first camera; `warn` gets the lines for the log."""
-        self.config, self.epoch = config, new_epoch()
+        self._own_epoch = first_epoch()  # of the last map that is not another tracker's
+        self.config, self.epoch = config, self._own_epoch
         self.counts: Counter[str] = Counter()  # of frames, by state, or 'refused'
         self.result: TrackResult | None = None  # of the last frame; None where it was refused
+        self.refusal = ''  # why the last frame was refused
         self.ms = 0.0  # time that the last frame took
+        self.ever_tracked = False  # in this map
         self.tracker: Tracker | None = None
         self.T_world_first, self._warn = T_world_first, warn
         self._selector = KeyframeSelector(config.mapping.view_interval)
@@ -64,8 +63,26 @@ class TrackingSession:
 
     def reset(self) -> None:
         """Begin a new map, at the place and with the camera of the next frame."""
-        self.tracker, self._resumable, self.epoch = None, None, new_epoch()
-        self._stamp_ns, self._held = None, False
+        self.tracker, self._resumable = None, None
+        self.epoch = self._own_epoch = next_epoch(self._own_epoch)
+        self._stamp_ns, self._held, self.ever_tracked = None, False, False
+
+    def remount(self, T_base_cam: NDArray[np.float64], frame: RgbdFrame) -> None:
+        """Take the pose (4, 4) of the camera on the base; where another was assumed, begin anew.
+
+        The new map's world is the base where tracking began, as the old one's was meant to be. In
+        the map of another tracker the world stays. `frame` is the next one to be tracked.
+        """
+        assumed, self.T_world_first = self.T_world_first, T_base_cam
+        last = self.tracker
+        if last is None or self._resumable is not None:
+            return
+        with suppress(FrameError):
+            last.track(frame)  # so that the new map begins where the camera is by now
+        T_world_cam = T_base_cam @ se3.inverse(assumed) @ last.T_world_cam
+        self._warn('the camera is elsewhere on the base than assumed: a new map begins')
+        self.reset()
+        self._begin(last.camera, T_world_cam)
 
     def reconfigure(self, config: Config) -> None:
         """Apply settings that may change at run time."""
@@ -85,12 +102,13 @@ class TrackingSession:
             return None
         self._warn_of_loss(result)
         self.counts[result.state.value] += 1
+        self.ever_tracked |= result.state is not TrackingState.LOST
         self.result, self.ms = result, 1e3 * (time.perf_counter() - start)
         return result
 
     def refuse(self, error: DcgsError) -> None:
         """Count a frame that cannot be used, and warn."""
-        self.result = None
+        self.result, self.refusal = None, str(error)
         self.counts['refused'] += 1
         self._warn(f'frame refused: {error}')
 
@@ -120,6 +138,10 @@ class TrackingSession:
             )
             T_world_first = last.T_world_cam
             self.reset()
+        return self._begin(camera, T_world_first)
+
+    def _begin(self, camera: PinholeCamera, T_world_first: NDArray[np.float64]) -> Tracker:
+        """Return a new tracker, in the map of another one if that is wanted."""
         self.tracker = Tracker(camera, self.config, T_world_first)
         if self._resumable is not None:
             self.epoch = self._resumable.epoch

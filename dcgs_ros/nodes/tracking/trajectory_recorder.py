@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import se3
 from ...core.trajectory import Trajectory
 from ...io.trajectory import write_tum
 
@@ -28,6 +29,11 @@ class TrajectoryRecorder:
         if self._poses and stamp_ns <= self._poses[-1][0]:  # a recording is played again
             self._poses.clear()
         self._poses.append((stamp_ns, T_world_base))
+
+    def remount(self, assumed: NDArray[np.float64], T_base_cam: NDArray[np.float64]) -> None:
+        """Correct the poses so far, for which the camera (4, 4) was assumed elsewhere."""
+        T = T_base_cam @ se3.inverse(assumed)  # from the world assumed to the right one
+        self._poses = [(stamp, T @ pose @ se3.inverse(T)) for stamp, pose in self._poses]
 
     def write(self) -> str | None:
         """Write `trajectory.tum`; return what was written, None where there is nothing."""

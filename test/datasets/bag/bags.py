@@ -16,6 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.lens_camera import LensCamera
 
 COLOR = '/camera/camera/color/image_raw'
 DEPTH = '/camera/camera/aligned_depth_to_color/image_raw'
@@ -171,24 +172,37 @@ def depth_entry(
     return image_entry(topic, stamp_ns, '16UC1', depth_mm, frame)
 
 
-def info_entry(stamp_ns: int, camera: PinholeCamera, topic: str = INFO) -> Entry:
-    """Return a CameraInfo with K and D."""
+def info_entry(
+    stamp_ns: int,
+    camera: PinholeCamera | LensCamera,
+    topic: str = INFO,
+    zoom: float = 1.0,
+    projection: PinholeCamera | None = None,
+) -> Entry:
+    """Return a CameraInfo with K, whose focal lengths are multiplied by `zoom`, D, and P."""
     name = 'sensor_msgs/msg/CameraInfo'
-    K = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
+    K = np.array([zoom * camera.fx, 0, camera.cx, 0, zoom * camera.fy, camera.cy, 0, 0, 1.0])
+    model = 'plumb_bob' if len(camera.distortion) <= 5 else 'rational_polynomial'
+    if isinstance(camera, LensCamera) and camera.fisheye:
+        model = 'equidistant'
     message = TYPES.types[name](
         header=header(stamp_ns, OPTICAL),
         height=camera.height,
         width=camera.width,
-        distortion_model='plumb_bob',
+        distortion_model=model,
         d=np.array(camera.distortion),
         k=K,
         r=np.eye(3).ravel(),
-        p=np.zeros(12),
+        p=np.zeros(12) if projection is None else _projection(projection),
         binning_x=0,
         binning_y=0,
         roi=TYPES.types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False),
     )
     return entry_of(topic, name, stamp_ns, message)
+
+
+def _projection(camera: PinholeCamera) -> NDArray[np.float64]:
+    return np.array([camera.fx, 0, camera.cx, 0, 0, camera.fy, camera.cy, 0, 0, 0, 1.0, 0])
 
 
 def header(stamp_ns: int, frame: str) -> Any:

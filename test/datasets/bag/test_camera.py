@@ -140,8 +140,12 @@ def test_where_topics_are_missing_or_many_they_are_listed(bag: Bag) -> None:
     listed = r'colour image among .*/left/color.*/right/color.*; name it: .*\?color=TOPIC'
     with pytest.raises(SourceError, match=listed):
         BagSource(two)
-    with pytest.raises(SourceError, match=r'the depth image among .*; name it: .*\?depth=TOPIC'):
-        BagSource(two, color_topic='/left/color/image')
+    for side in ('left', 'right'):  # the other topic follows
+        named = camera_topics(two, f'/{side}/color/image')
+        assert named == camera_topics(two, depth=f'/{side}/depth/image')
+        assert named.depth == f'/{side}/depth/image'
+    with pytest.raises(SourceError, match=r'depth is not there.*the depth image .*\?depth=TOPIC'):
+        BagSource(two, color_topic='/left/color/image', depth_topic='/up/depth')
     with pytest.raises(SourceError, match='/up/color is not there, so no topic is the colour'):
         BagSource(two, color_topic='/up/color', depth_topic='/left/depth/image')
     given = BagSource(two, color_topic='/right/color/image', depth_topic='/right/depth/image')
@@ -183,7 +187,7 @@ def test_unaligned_depth_without_what_registers_it_is_refused(bag: Bag) -> None:
     with pytest.raises(SourceError, match=flag):
         BagSource(bag([*images, apart], 'apart'))
     no_info = without([*images, extrinsics_entry(T_COLORCAM_DEPTHCAM)], DEPTH_INFO)
-    with pytest.raises(SourceError, match='no CameraInfo to do it is recorded'):
+    with pytest.raises(SourceError, match='no CameraInfo to do it is known'):
         BagSource(bag(no_info, 'no_info'))
 
 

@@ -37,9 +37,9 @@ from realsense_bags import (  # type: ignore[import-not-found]
 from dcgs_ros.core.errors import FrameError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.datasets.bag import images as bag_images
-from dcgs_ros.datasets.bag.images import image_size
 from dcgs_ros.datasets.bag.source import BagSource
 from dcgs_ros.datasets.source import BadFrame
+from dcgs_ros.io.images.transports import image_size
 from dcgs_ros.io.ros_images import MessageError
 
 MM = 1000.0

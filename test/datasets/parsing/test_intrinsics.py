@@ -12,7 +12,7 @@ from dcgs_ros.datasets.source import SourceError
 
 @pytest.mark.parametrize('count', [4, 8, 9, 12])
 def test_intrinsics_are_parsed_in_order(count: int) -> None:
-    numbers = [500.0, 501.0, 320.0, 240.0, *(0.01 * k for k in range(1, 9))][:count]
+    numbers = [500.0, 501.0, 320.0, 240.0, *(0.001 * k for k in range(1, 9))][:count]
     camera = parse_intrinsics(','.join(map(str, numbers)), 640, 480)
     assert [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion] == numbers
 

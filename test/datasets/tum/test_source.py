@@ -46,6 +46,27 @@ def test_frames_are_what_was_written(tum_folder: Writer) -> None:
         np.testing.assert_allclose(frame.depth_m, 1 + 0.1 * k, atol=FLOAT32_STEP)
 
 
+@pytest.mark.parametrize('size', [(32, 24), (128, 96)])
+def test_depth_of_another_size_is_scaled_to_colours(
+    tum_folder: Writer, size: tuple[int, int]
+) -> None:
+    folder = tum_folder(frames=4)
+    for k in range(4):
+        wrong = {1: (size[0] + 4, size[1]), 2: (size[0] // 2, size[1] // 2)}.get(k, size)
+        depth = np.full(wrong[::-1], 5000, np.uint16)
+        depth[:, wrong[0] // 2 :] = 10000
+        cv2.imwrite(str(folder / 'depth' / f'{k}.png'), depth)
+    source = open_tum(folder, camera=SMALL)
+    assert source.notes == (f'depth of {size[0]}x{size[1]} pixels is scaled to those of colour',)
+    first, *others, last = source
+    for frame in (first, last):
+        assert isinstance(frame, RgbdFrame)
+        assert (frame.depth_m[:, :32] == 1.0).all() and (frame.depth_m[:, 32:] == 2.0).all()
+    for bad in others:
+        assert isinstance(bad, BadFrame)
+        assert f"the camera's images are {size[0]}x{size[1]}" in bad.reason
+
+
 def test_reading_twice_gives_the_same(tum_folder: Writer) -> None:
     source = open_tum(tum_folder(), camera=SMALL)
     for first, second in zip(good_frames(source), good_frames(source), strict=True):

@@ -25,7 +25,9 @@ from dcgs_ros.core.keyframe import Keyframe, PosedFrame
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.io.ply import read_ply
+from dcgs_ros.nodes.health import Level
 from dcgs_ros.nodes.mapping.session import MappingSession
+from dcgs_ros.nodes.messages.ids import first_epoch, next_epoch
 from dcgs_ros.nodes.messages.packet import KeyframePacket
 
 CAMERA = PinholeCamera(48, 36, 42.0, 42.0, 23.5, 17.5)
@@ -36,6 +38,7 @@ CONFIG = override(
     Config(), {'threads': 1, 'mapping.final_steps': RESTING_STEPS, 'mapping.trial_visits': 1000}
 )
 WALL_M = 1.5
+FIRST, OTHER = first_epoch(), first_epoch()  # of two trackers, all but certainly
 
 
 def packet_of(
@@ -169,6 +172,68 @@ def test_another_epoch_may_have_another_camera(session: MappingSession) -> None:
     assert session.mapper is not None and session.mapper.camera == LARGER
     shown = session.render(0, np.eye(4))
     assert shown is not None and shown.color.shape == (3, 48, 64)
+
+
+def held(warnings: list[str], trackers: list[int]) -> MappingSession:
+    """Return a session that counts the last number of trackers, with a map of the first."""
+    session = MappingSession(CONFIG, warnings.append, lambda: trackers[-1])
+    assert session.insert(packet_of(0, FIRST)) is not None
+    assert session.insert(packet_of(1, FIRST)) is not None
+    return session
+
+
+def test_while_its_tracker_lives_a_map_is_not_given_up_for_another(warnings: list[str]) -> None:
+    trackers = [2]
+    session = held(warnings, trackers)
+    before = state(session)
+    for packet in (packet_of(2, OTHER), view_of(3, OTHER), packet_of(4, OTHER)):
+        assert session.insert(packet) is None
+    assert state(session) == before and session.foreign == 2 == session.figures()['foreign']
+    verdict = session.judge(0)
+    assert verdict.level is Level.WARN and 'another tracker speaks' in verdict.message
+    assert 'namespace' in verdict.message and not warnings
+    assert session.insert(view_of(5, FIRST)) is not None
+    trackers.append(1)  # the first one has died
+    assert session.insert(packet_of(2, OTHER)) is not None
+    assert session.epoch == OTHER and len(warnings) == 1
+    session.close()
+
+
+def test_a_new_map_of_the_same_tracker_replaces_the_old_one(warnings: list[str]) -> None:
+    session = held(warnings, [2])
+    assert session.insert(packet_of(2, next_epoch(FIRST))) is not None
+    assert session.epoch == next_epoch(FIRST) and session.foreign == 0
+    session.reset()
+    assert session.insert(packet_of(0, OTHER)) is not None  # there is nothing to hold to
+    session.close()
+
+
+def view_of(index: int, epoch: int) -> KeyframePacket:
+    return replace(packet_of(index, epoch=0), epoch=epoch)
+
+
+def test_a_view_of_a_map_that_has_not_begun_is_ignored(session: MappingSession) -> None:
+    assert session.insert(view_of(0, FIRST)) is None
+    session.insert(packet_of(1, OTHER))
+    assert session.insert(view_of(2, next_epoch(OTHER))) is None
+    assert session.epoch == OTHER and session.stamps == {10**9 + 1}
+
+
+def test_each_lack_of_keyframes_has_its_own_line(warnings: list[str]) -> None:
+    trackers = [0]
+    session = MappingSession(CONFIG, warnings.append, lambda: trackers[-1])
+    assert 'no tracker runs in this namespace' in session.judge(0).message
+    trackers.append(1)
+    assert 'tracking?' in session.judge(0).message
+    session.insert(packet_of(0))
+    assert session.judge(0).level is Level.OK
+    session.insert(nothing_measured(packet_of(1)))
+    verdict = session.judge(0)
+    assert verdict.level is Level.WARN and warnings == [verdict.message] and verdict.logged
+    session.insert(packet_of(1))
+    assert session.judge(0).level is Level.OK
+    assert 'behind' in session.judge(99).message
+    session.close()
 
 
 def nothing_measured(packet: KeyframePacket) -> KeyframePacket:

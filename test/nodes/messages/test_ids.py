@@ -8,7 +8,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, joined_ids, split_ids
+from dcgs_ros.nodes.messages.ids import (
+    EPOCH,
+    EPOCHS,
+    first_epoch,
+    is_epoch,
+    joined_ids,
+    next_epoch,
+    same_tracker,
+    split_ids,
+)
 
 EPOCH_NUMBERS = st.integers(1, EPOCHS - 1)
 INDICES = st.lists(st.integers(0, EPOCH - 1), max_size=20)
@@ -52,3 +61,15 @@ def test_the_limits_are_where_they_are_said_to_be() -> None:
     epochs, found = split_ids(ids)
     assert epochs.tolist() == [0, 0, 0, 1, EPOCHS - 1]
     assert found.tolist() == [-1, 0, EPOCH - 1, 0, EPOCH - 1]
+
+
+def test_the_maps_of_one_tracker_are_told_from_those_of_another() -> None:
+    drawn = [first_epoch() for _ in range(200)]
+    assert len(set(drawn)) > 195 and all(is_epoch(epoch) for epoch in drawn)
+    assert sum(same_tracker(drawn[0], other) for other in drawn[1:]) < 4
+    epoch, seen = drawn[0], {drawn[0]}
+    for _ in range(100):
+        epoch = next_epoch(epoch)
+        assert is_epoch(epoch) and epoch not in seen and same_tracker(epoch, drawn[0])
+        seen.add(epoch)
+    assert not is_epoch(0) and not is_epoch(1) and not is_epoch(EPOCHS)

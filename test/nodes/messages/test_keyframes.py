@@ -25,7 +25,7 @@ from dcgs_ros.core.keyframe import Keyframe, MapUpdate, PosedFrame
 from dcgs_ros.io.ros_images import stamp_ns
 from dcgs_ros.nodes.mapping.keyframe_subscriber import Joiner
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
-from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, joined_ids
+from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, first_epoch, is_epoch, joined_ids
 from dcgs_ros.nodes.messages.keyframes import (
     TOPICS,
     read_answer,
@@ -82,7 +82,7 @@ def test_a_keyframe_arrives_as_it_was(
     found = read_keyframe(sent(packet))
     assert (found.camera, found.camera_frame) == (CAMERA, 'optical')
     assert_same_view(found.posed, packet.posed)
-    assert found.epoch == (epoch if indices else 0)
+    assert found.epoch == (epoch if indices or is_epoch(epoch) else 0)
     if not indices:
         assert type(found.posed) is PosedFrame
         return
@@ -110,6 +110,8 @@ def test_a_view_between_keyframes_is_one_without_gaussians() -> None:
     assert found.epoch == 0 and not found.carries_gaussians
     assert type(found.posed) is PosedFrame
     assert_same_view(found.posed, view)
+    told = replace(packet, posed=view, epoch=first_epoch())
+    assert read_keyframe(sent(told)).epoch == told.epoch
 
 
 def test_all_parts_carry_one_stamp_and_the_frame_they_are_in() -> None:

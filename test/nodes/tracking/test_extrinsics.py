@@ -19,7 +19,8 @@ from geometry_msgs.msg import TransformStamped
 from dcgs_ros.core import se3
 from dcgs_ros.core.config.nodes import TrackerNodeSettings
 from dcgs_ros.core.config.schema import ConfigError
-from dcgs_ros.nodes.tracking.extrinsics import base_to_camera
+from dcgs_ros.nodes.tracking import extrinsics
+from dcgs_ros.nodes.tracking.extrinsics import LOOKING_FORWARD, Mounting, known_extrinsics
 
 CAMERA = 'camera_color_optical_frame'
 EXACT = 1e-12
@@ -28,6 +29,8 @@ TEXT = 1e-3  # of what a quaternion may be off in length
 
 class Known:
     """TF that knows one transform, or none."""
+
+    listens = True
 
     def __init__(self, T: NDArray[np.float64] | None) -> None:
         self.T, self.asked = T, list[tuple[str, str]]()
@@ -46,12 +49,14 @@ def found(
     text: str = 'auto', T: NDArray[np.float64] | None = None, base: str = 'base_link'
 ) -> NDArray[np.float64]:
     settings = replace(TrackerNodeSettings(), base_to_camera=text, base_frame=base)
-    return base_to_camera(settings, Known(T), CAMERA)
+    known = known_extrinsics(settings, Known(T), CAMERA)
+    assert known is not None
+    return known
 
 
-def test_unknown_the_camera_looks_forward_and_is_upright() -> None:
+def test_looking_forward_the_camera_is_upright() -> None:
     """REP 103: forward is x of the base and z of the optical frame."""
-    T = found()
+    T = LOOKING_FORWARD
     axes = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]).T  # of right, down, forward in the base
     np.testing.assert_allclose(T[:3, :3], axes, atol=EXACT)
     np.testing.assert_array_equal(T[:, 3], [0, 0, 0, 1])
@@ -60,8 +65,9 @@ def test_unknown_the_camera_looks_forward_and_is_upright() -> None:
 def test_tf_is_asked_for_the_camera_on_the_base() -> None:
     T, settings = se3.exp(np.array([0.1, 0.2, 0.3, -0.5, 0.6, 0.7])), TrackerNodeSettings()
     known = Known(T)
-    np.testing.assert_array_equal(base_to_camera(settings, known, CAMERA), T)
+    np.testing.assert_array_equal(known_extrinsics(settings, known, CAMERA), T)
     assert known.asked == [('camera_link', CAMERA)]
+    assert known_extrinsics(settings, Known(None), CAMERA) is None
 
 
 def test_a_setting_counts_more_than_tf() -> None:
@@ -95,3 +101,66 @@ def test_what_is_no_pose_is_refused_and_shown(text: str) -> None:
     with pytest.raises(ConfigError) as refused:
         found(text)
     assert repr(text) in str(refused.value) and 'qx qy qz qw' in str(refused.value)
+
+
+class Waiting:
+    """A `Mounting`, its clock, and what it says."""
+
+    def __init__(self, wait_s: float, patch: pytest.MonkeyPatch, listens: bool = True) -> None:
+        self.tf, self.now_s, self.said = Known(None), 100.0, list[str]()
+        self.tf.listens = listens
+        patch.setattr(extrinsics.time, 'monotonic', lambda: self.now_s)
+        settings = replace(TrackerNodeSettings(), wait_for_transform_s=wait_s)
+        self.mounting = Mounting(settings, self.tf, self.said.append)
+
+    def after(self, passed_s: float) -> NDArray[np.float64] | None:
+        self.now_s += passed_s
+        to_base = self.mounting.find(CAMERA)
+        return None if to_base is None else to_base.T_base_cam
+
+    @property
+    def doubt(self) -> str:
+        return self.mounting.doubt or ''
+
+
+def test_tf_is_waited_for_and_that_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting = Waiting(5.0, monkeypatch)
+    assert [waiting.after(1.0) for _ in range(4)] == [None] * 4
+    assert len(waiting.said) == 1 and f'waiting for TF from camera_link to {CAMERA}' in str(
+        waiting.said
+    )
+    assert waiting.doubt == waiting.said[0] and '5 s' in waiting.said[0]
+    waiting.tf.T = se3.exp(np.full(6, 0.2))
+    assert waiting.after(1.0) is waiting.tf.T
+    assert waiting.doubt == ''
+
+
+def test_what_never_comes_is_assumed_loudly_and_still_taken_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waiting = Waiting(5.0, monkeypatch)
+    assert waiting.after(0.0) is None
+    for _ in range(3):
+        assert waiting.after(5.1) is LOOKING_FORWARD
+    assert len(waiting.said) == 2 and 'wrong unless' in waiting.said[1]
+    assert 'node.base_to_camera' in waiting.said[1] == waiting.doubt
+    waiting.tf.T = se3.exp(np.full(6, 0.2))
+    assert waiting.after(1.0) is waiting.tf.T
+    assert waiting.doubt == '' and 'has come' in waiting.said[2]
+    asked = len(waiting.tf.asked)
+    assert waiting.after(9.0) is waiting.tf.T and len(waiting.tf.asked) == asked
+
+
+def test_tf_is_not_asked_at_every_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting = Waiting(1.0, monkeypatch)
+    for _ in range(60):
+        waiting.after(0.01)
+    assert len(waiting.tf.asked) < 6
+
+
+def test_without_tf_nothing_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    waiting = Waiting(5.0, monkeypatch, listens=False)
+    assert waiting.after(0.0) is LOOKING_FORWARD
+    assert len(waiting.said) == 1 and 'node.base_to_camera' in waiting.said[0]
+    assert waiting.doubt == ''  # nothing better will come
+    assert Waiting(0.0, monkeypatch).after(0.0) is LOOKING_FORWARD

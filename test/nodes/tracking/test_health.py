@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from dcgs_ros.core.tracking.observability import Observability, observability
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.nodes.health import Level
-from dcgs_ros.nodes.tracking.health import Streams, judge, numbers, weakest_axis
+from dcgs_ros.nodes.tracking.health import Streams, Topic, judge, numbers, weakest_axis
 
 FINE = Streams(color=30, depth=30, pairs=30, dropped=0, has_camera=True, silent_s=0.03)
 
@@ -127,6 +127,66 @@ def test_whatever_comes_there_is_a_verdict_in_words(
     verdict = judge(Streams(color, depth, pairs, dropped, has_camera, silent_s), result, searching)
     assert verdict.level in Level and verdict.message
     assert (verdict.level is Level.OK) == (verdict.message == 'tracking')
+
+
+def message(streams: Streams, result: TrackResult | None = None, **known: Any) -> str:
+    return judge(streams, result, False, **known).message
+
+
+def test_a_camera_info_that_is_refused_is_no_camera_that_is_off() -> None:
+    streams = replace(FINE, has_camera=False, refused_camera='fx is 0', silent_s=9.0)
+    verdict = judge(streams, None, False)
+    assert verdict.level is Level.ERROR and verdict.logged
+    assert 'camera_info refused: fx is 0' in verdict.message and 'running' not in verdict.message
+
+
+@pytest.mark.parametrize(
+    ('topic', 'named'),
+    [
+        (Topic('/robot/x', 0), 'nobody publishes /robot/x'),
+        (Topic('/robot/x', 1, incompatible=True), 'set node.reliability to best_effort'),
+        (Topic('/robot/x', 1), '/robot/x has a publisher that sends nothing'),
+    ],
+)
+@pytest.mark.parametrize('gone', ['color', 'depth', 'camera_info'])
+def test_why_a_topic_is_silent_is_told_from_its_publishers(
+    gone: str, topic: Topic, named: str
+) -> None:
+    silent: dict[str, Any] = {'has_camera': False} if gone == 'camera_info' else {gone: 0}
+    assert named in message(replace(FINE, pairs=0, topics={gone: topic}, **silent))
+
+
+def test_images_without_pairs_say_what_is_wrong_with_their_stamps() -> None:
+    streams = replace(FINE, pairs=0)
+    assert 'no stamp (0 s)' in message(replace(streams, unstamped=60))
+    assert 'sync_slop_s' not in message(replace(streams, unstamped=60))
+    near, far = (message(replace(streams, apart_s=apart)) for apart in (-0.412, 3600.0))
+    assert '0.412 s apart' in near and 'raise node.sync_slop_s' in near
+    assert '3600.000 s apart' in far and 'stamp both with one' in far and 'raise' not in far
+
+
+def test_why_frames_are_refused_is_told() -> None:
+    assert message(FINE, refusal='colour is yuv9').endswith('could be used: colour is yuv9')
+
+
+def test_what_was_never_tracked_is_not_to_move_back() -> None:
+    lost = result_in(TrackingState.LOST)
+    begun, resumed = (
+        judge(FINE, lost, searching, ever_tracked=False) for searching in (False, True)
+    )
+    assert 'no map can begin' in begun.message and 'depth' in begun.message
+    assert "the mapper's map" in resumed.message and '~/reset' in resumed.message
+    for verdict in (begun, resumed):
+        assert 'move back' not in verdict.message and verdict.level is Level.ERROR
+
+
+def test_an_unknown_place_on_the_base_is_a_warning() -> None:
+    waiting = judge(FINE, None, False, mounting='waiting for TF')
+    assert (waiting.level, waiting.message) == (Level.WARN, 'waiting for TF')
+    assumed = judge(FINE, GOOD, False, mounting='no TF from a to b')
+    assert assumed.level is Level.WARN
+    assert assumed.message == 'tracking, but no TF from a to b'
+    assert 'no depth' in message(replace(FINE, pairs=0, depth=0), mounting='waiting')
 
 
 @pytest.mark.parametrize('axis', range(6))

@@ -26,10 +26,10 @@ from dcgs_ros.core.keyframe import Keyframe, MapUpdate
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
-from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS
+from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, same_tracker
 from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.tracking.map_mirror import Resumable
-from dcgs_ros.nodes.tracking.session import TrackingSession, new_epoch
+from dcgs_ros.nodes.tracking.session import TrackingSession
 
 SECOND = 1_000_000_000
 FRAMES = 14
@@ -128,11 +128,6 @@ def assert_true(
 def restored_threads() -> Iterator[None]:
     yield
     jit.set_threads(None)
-
-
-def test_epochs_differ_and_are_in_range() -> None:
-    drawn = {new_epoch() for _ in range(200)}
-    assert len(drawn) > 195 and all(0 < epoch < EPOCHS for epoch in drawn)
 
 
 def test_a_camera_is_tracked_and_the_mapper_gets_all_gaussians() -> None:
@@ -245,7 +240,7 @@ def test_after_a_reset_the_same_frames_have_other_stamps_and_another_epoch() -> 
     feeder.feed(frames[:5])
     epoch = feeder.session.epoch
     feeder.session.reset()
-    assert feeder.session.epoch != epoch
+    assert feeder.session.epoch != epoch and same_tracker(feeder.session.epoch, epoch)
     assert not feeder.session.alive(np.arange(5)).any()
     results = feeder.feed(frames[:5])
     assert_true(results, frames[:5], T_BASE_CAM)
@@ -388,6 +383,53 @@ def test_a_reset_before_the_first_frame_is_no_going_on() -> None:
     results = after.feed(frames_of(HALF)[:4])
     assert_true(results, frames_of(HALF)[:4], T_BASE_CAM)
     assert after.session.epoch != before.session.epoch
+
+
+def test_a_camera_that_was_assumed_elsewhere_begins_a_right_map() -> None:
+    """The base's poses go on in the world that is meant: the base where tracking began."""
+    feeder, frames = Feeder(), frames_of(HALF)
+    before = feeder.feed(frames[:6])
+    epoch, T_base_cam = feeder.session.epoch, se3.exp(np.array([0.3, -0.2, 0.5, 1.0, 0.2, -0.7]))
+    feeder.session.remount(T_base_cam, frames[6])
+    after = feeder.feed(frames[6:9])
+    assert feeder.session.epoch != epoch
+    assert len(feeder.warnings) == 1 and 'elsewhere' in feeder.warnings[0]
+    assert_true(before, frames[:6], T_BASE_CAM)
+    assert_true(after, frames[6:9], T_base_cam)
+    feeder.session.reset()
+    again = feeder.feed(frames[9:11])[0]
+    assert again is not None
+    np.testing.assert_array_equal(again.T_world_cam, T_base_cam)
+    feeder.assert_keyframes_are_whole()
+
+
+def test_before_the_first_frame_and_in_the_map_of_another_tracker_the_world_stays() -> None:
+    before, after = Feeder(), Feeder()
+    before.session.remount(T_BASE_CAM @ T_BASE_CAM, frames_of(HALF)[0])
+    first = before.feed(frames_of(HALF)[:8])[0]
+    assert first is not None
+    np.testing.assert_array_equal(first.T_world_cam, T_BASE_CAM @ T_BASE_CAM)
+    after.session.resume(resumable_of(before))
+    after.feed(frames_of(HALF)[7:10])
+    after.session.remount(np.eye(4), frames_of(HALF)[10])
+    assert after.session.epoch == before.session.epoch and not before.warnings
+    after.session.reset()
+    assert not same_tracker(after.session.epoch, before.session.epoch)
+
+
+def test_whether_a_camera_was_ever_tracked_is_known_for_each_map() -> None:
+    feeder, frames = Feeder(), frames_of(HALF)
+    depth_m = np.zeros_like(frames[0].depth_m)
+    depth_m[100:104, 100:104] = 1.0  # hardly anything
+    blind = replace(frames[0], depth_m=depth_m)
+    assert states(feeder.feed([blind])) == [TrackingState.LOST]
+    tracked = [feeder.session.ever_tracked]
+    feeder.feed(frames[1:3])
+    tracked.append(feeder.session.ever_tracked)
+    feeder.session.reset()
+    assert [*tracked, feeder.session.ever_tracked] == [False, True, False]
+    feeder.feed(frames_of(FULL)[3:4])
+    assert '640x480' in feeder.session.refusal
 
 
 EVENTS = st.lists(

@@ -11,9 +11,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
+from ....io.zstd import ZSTD_MAGIC, unzstd
+
 ZSTD_SUFFIX = '.zstd'
 
-_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 _MAX_RATIO = 64
 _MIN_LIMIT, _MAX_LIMIT = 1 << 26, 1 << 30  # bytes
 _STEP = 1 << 20  # bytes
@@ -48,12 +49,12 @@ def size_limit(file: BinaryIO) -> int:
 
 def unpack(data: bytes) -> bytes:
     """Decompress a message that was compressed by itself, with zstd; raises `ValueError`."""
-    return _unzstd(data, _MIN_LIMIT) if is_packed(data) else data
+    return unzstd(data, _MIN_LIMIT) if is_packed(data) else data
 
 
 def is_packed(data: bytes) -> bool:
     """Return whether a message was compressed by itself, as CDR begins with a zero."""
-    return data[:4] == _ZSTD_MAGIC
+    return data[:4] == ZSTD_MAGIC
 
 
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:
@@ -64,7 +65,7 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memor
     if kind == '':
         return data
     if kind == 'zstd':
-        return _unzstd(data, limit)
+        return unzstd(data, limit)
     if kind != 'lz4':
         raise ValueError(f'compression {kind!r} is not known')
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -73,15 +74,3 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memor
         return LZ4FrameDecompressor().decompress(data, max_length=limit)
     except (RuntimeError, EOFError, MemoryError) as error:
         raise ValueError(f'its lz4 is broken: {error}') from error
-
-
-def _unzstd(data: bytes | memoryview, limit: int) -> bytes:
-    import zstandard
-
-    try:
-        size = zstandard.frame_content_size(data)  # negative if unknown
-        if size > limit:
-            raise ValueError(f'{size} bytes are compressed where at most {limit} can be')
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=limit)
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise ValueError(f'its zstd is broken: {error}') from error

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FrameError
+from .encodings import eight_bits
 
-_COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-_MAX_PIXELS = 2**25  # 8192 x 4096: a larger size is a corrupt number
+_COLOR = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+MAX_PIXELS = 2**25  # 8192 x 4096: a larger size is a corrupt number
 _PNG, _JPEG, _END_OF_JPEG = b'\x89PNG\r\n\x1a\n', b'\xff\xd8', b'\xff\xd9'
 # Segments C0 to CF hold the size, except the tables of Huffman and arithmetic codes, and JPG.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -39,8 +40,8 @@ def read_grey_file(folder: Path, path: str) -> NDArray[np.uint8]:
 
 def decode_color(data: bytes, name: str) -> NDArray[np.uint8]:
     """Decode a PNG's or JPEG's bytes to colour (H, W, 3) RGB; raises `FrameError` with `name`."""
-    color: NDArray[np.uint8] = cv2.cvtColor(_decode(data, name, _COLOR), cv2.COLOR_BGR2RGB)
-    return color
+    color = _decode(data, name, _COLOR)
+    return cv2.cvtColor(color if color.itemsize == 1 else eight_bits(color), cv2.COLOR_BGR2RGB)
 
 
 def decode_depth(data: bytes, name: str) -> NDArray[np.uint16]:
@@ -52,6 +53,11 @@ def decode_depth(data: bytes, name: str) -> NDArray[np.uint16]:
             f'{name} has {channels} channel(s) of {8 * depth.itemsize} bits, not one of 16'
         )
     return depth
+
+
+def is_png_or_jpeg(data: bytes) -> bool:
+    """Return whether the bytes begin as a PNG or JPEG does."""
+    return data.startswith((_PNG, _JPEG))
 
 
 def encoded_size(data: bytes, name: str) -> tuple[int, int]:
@@ -104,7 +110,7 @@ def _read(folder: Path, path: str) -> bytes:
 
 def _decode(data: bytes, name: str, flags: int) -> NDArray[Any]:
     width, height = encoded_size(data, name)
-    if not 0 < width * height <= _MAX_PIXELS:
+    if not 0 < width * height <= MAX_PIXELS:
         raise FrameError(f'{name}: {width}x{height} pixels is not a plausible image size')
     # OpenCV fills the missing part of a JPEG with grey.
     if data.startswith(_JPEG) and _END_OF_JPEG not in data[-4096:]:

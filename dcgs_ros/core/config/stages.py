@@ -296,7 +296,6 @@ _DISTANCES = (
     ('landmarks', 'min_distance_px', 5),
     ('keyframes', 'spawn_stride_px', 2),
     ('keyframes', 'spawn_px', 2),
-    ('mapping', 'spawn_stride_px', 2),
 )
 
 
@@ -328,7 +327,7 @@ class Config(Stage):
         """Return the settings for images of this size, in pixels.
 
         Distances between samples are meant for 640x480. In smaller images they shrink, so that
-        there are as many points, corners and Gaussians; in larger ones they stay. Standard
+        the tracker has as many points, corners and Gaussians; in larger ones they stay. Standard
         deviations in pixels are those of measurements, whatever the size.
         """
         share = math.sqrt(width * height / (640 * 480))

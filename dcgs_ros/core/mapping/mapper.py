@@ -65,7 +65,7 @@ class Mapper:
         them, and `strategy` is `DefaultDensification`.
         """
         workers = workers or Workers(mapper_threads(config))
-        self.camera, self.config = camera, config.scaled_to(camera.width, camera.height)
+        self.camera, self.config = camera, config
         self.table = SplatTable()
         self.views: list[KeyframeView] = []
         self.steps = 0
@@ -73,7 +73,7 @@ class Mapper:
         self._renderer, self._workers = renderer or make_renderer(workers), workers
         self._strategy = strategy or DefaultDensification()
         self._rectify = Rectifier(camera)
-        settings = self.config.mapping
+        settings = config.mapping
         self._losses = {
             shrink: ImageLoss(
                 camera.width // shrink, camera.height // shrink, settings.ssim_weight,

@@ -135,6 +135,6 @@ def test_distances_in_pixels_follow_small_images_only() -> None:
     assert config.scaled_to(640, 480) is config and config.scaled_to(1280, 720) is config
     half, tiny = config.scaled_to(320, 240), config.scaled_to(64, 48)
     assert (half.cloud.stride_px, half.landmarks.min_distance_px) == (5, 6)
-    assert (half.keyframes.spawn_px, half.mapping.spawn_stride_px) == (2.0, 3)
+    assert half.keyframes.spawn_px == 2.0
     assert half.landmarks.sigma_px == config.landmarks.sigma_px
     assert (tiny.cloud.stride_px, tiny.cloud.dilation_px) == (3, 1)

@@ -13,10 +13,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 CODE = """
 import sys
+from dataclasses import replace
 from dcgs_ros.cli.run import pipeline
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.tracking.warmup import EVERY_FRAME
 from dcgs_ros.datasets.open import open_source
 
 def compiled():
@@ -32,7 +34,9 @@ def compiled():
 source = open_source('synthetic:room?frames=30&sensor=ideal&speed=2')
 few = {{'mapping.spawn_stride_px': 16, 'mapping.steps_per_frame': 2, 'mapping.final_steps': 5}}
 few |= {{'mapping.prune_interval': 10, 'mapping.view_interval': 2}}
-config = override(Config(ablation={ablation!r}, sensor=source.sensor), few)
+few |= EVERY_FRAME
+sensor = replace(source.sensor, depth_bias=0.01, color_readout_ms=26.0)
+config = override(Config(ablation={ablation!r}, sensor=sensor), few)
 both = pipeline.start(source.camera, config, {mapping}, False, Workers(2))
 before = compiled()
 assert any(before.values())
@@ -44,7 +48,7 @@ for k in range(0, 30, 3):
     both.mapping.advance()
 for left in both.mapping.finish():
     pass
-assert sum(result.keyframe for result in results) >= 2
+assert sum(result.keyframe for result in results) >= 2, [r.keyframe for r in results]
 after = compiled()
 assert before == after, {{key: after[key] for key in after if after[key] != before.get(key)}}
 """

@@ -386,7 +386,7 @@ def test_a_replay_hears_which_frames_the_tracker_is_through_with(
     spin_until(lambda: progress.get_subscription_count() > 0, eye, player)
     monkeypatch.setattr(tracker, 'warm_up', lambda *_: None)
     eye._mapper.resumable = lambda _: None
-    eye._camera.camera = CAMERA
+    eye._camera.reader.on_info('color', write_camera(CAMERA, header(7, 'optical')))
     eye._track = lambda *_: queue.close()
     queue.put(ImagePair(7, image, 7, image))
     eye._work()

@@ -21,16 +21,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..frame import RgbdFrame
-from ..kernels.jit import kernel
+from ..kernels.jit import kernel, parallel_kernel
 from ..kernels.small_matrix import inverse_symmetric
 from .factors import PointFactors, plane_residual
 from .registration import Registration
 
-_TERMS = 5  # x, y, xy, x^2, y^2; a constant cannot be told from the scale of the world
+TERMS = 5  # x, y, xy, x^2, y^2; a constant cannot be told from the scale of the world
 _EVERY = 4  # depth pairs of which one is used: neighbours repeat each other
 _HUBER = 2.0  # in units of sqrt(chi2)
 _FEWEST_INTERVALS = 6
@@ -48,23 +49,23 @@ class DepthBias:
         """Start without a bias; `sigma` is what each theta_k may be, 0 if there is none."""
         self._camera, self._sigma = camera, sigma
         self._half_view = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
-        self.theta = np.zeros(_TERMS)  # that depth is corrected by
+        self.theta = np.zeros(TERMS)  # that depth is corrected by
         self._gain: NDArray[np.float32] | None = None
         # Of the intervals that are over: L, v, and what the scatter of v - L theta is made of.
         self._intervals = 0
-        self._L, self._v = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
-        self._LL = np.zeros((_TERMS,) * 4)
-        self._Lv, self._vv = np.zeros((_TERMS,) * 3), np.zeros((_TERMS, _TERMS))
+        self._L, self._v = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
+        self._LL = np.zeros((TERMS,) * 4)
+        self._Lv, self._vv = np.zeros((TERMS,) * 3), np.zeros((TERMS, TERMS))
         self.reset(())
 
     def reset(self, visited: Sequence[NDArray[np.float64]]) -> None:
         """Go on in another map, whose keyframes were corrected by something else."""
         self._hosts = np.array(visited, np.float64).reshape(-1, 4, 4)
-        self._thetas = np.full((len(self._hosts), _TERMS), np.nan)
+        self._thetas = np.full((len(self._hosts), TERMS), np.nan)
         self._begin_interval()
 
     def _begin_interval(self) -> None:
-        self._system, self._right = np.zeros((_TERMS, _TERMS)), np.zeros(_TERMS)
+        self._system, self._right = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
         """Return the frame with its depth (H, W) divided by 1 + b."""
@@ -74,7 +75,7 @@ class DepthBias:
         """Take what the residuals of a registered frame tell of theta."""
         if self._sigma == 0.0:
             return
-        upper = np.zeros((len(self._hosts), 7 + _TERMS, 7 + _TERMS))
+        upper = np.zeros((len(self._hosts), 7 + TERMS, 7 + TERMS))
         self._add(found.depth, found.T_world_cam, _EVERY, upper)
         if found.image is not None:
             self._add(found.image, found.T_world_cam, 1, upper)
@@ -83,8 +84,8 @@ class DepthBias:
         H, across = systems[:, :6, :6] + _WEAK_POSE, systems[:, :6, 6:]
         within = across.transpose(0, 2, 1) @ np.linalg.solve(H, across)
         marginal = (systems[:, 6:, 6:] - within).sum(axis=0)
-        self._system += marginal[:_TERMS, :_TERMS]
-        self._right += marginal[:_TERMS, _TERMS]
+        self._system += marginal[:TERMS, :TERMS]
+        self._right += marginal[:TERMS, TERMS]
 
     def add_keyframe(self, T_world_cam: NDArray[np.float64]) -> None:
         """Add a host at a pose (4, 4): an interval ends, and depth is corrected anew after it."""
@@ -100,30 +101,30 @@ class DepthBias:
         self._vv += np.outer(v, v)
         self._begin_interval()
         if self._intervals >= _FEWEST_INTERVALS:
-            self._correct_by(self._estimate())
+            self.correct_by(self._estimate())
 
     def _estimate(self) -> NDArray[np.float64]:
         """Return theta: least squares, shrunk by its covariance against that of the prior.
 
         The covariance is L^-1 (sum s s^T) L^-1 with the scores s = v - L theta of the intervals.
         """
-        prior = self._sigma**2 * np.eye(_TERMS)
+        prior = self._sigma**2 * np.eye(TERMS)
         L = self._L + 1e-3 * np.linalg.inv(prior)
         theta = np.linalg.solve(L, self._v)
         across = np.einsum('ijk,j->ik', self._Lv, theta)
         scatter = self._vv - across - across.T
         scatter += np.einsum('ijkl,j,l->ik', self._LL, theta, theta)
-        scatter *= self._intervals / (self._intervals - _TERMS)
+        scatter *= self._intervals / (self._intervals - TERMS)
         inverse = np.linalg.inv(L)
         covariance = _LEFT_OUT * inverse @ (scatter + _OVERDISPERSED * L) @ inverse
         return np.asarray(prior @ np.linalg.solve(prior + covariance, theta))
 
-    def _correct_by(self, theta: NDArray[np.float64]) -> None:
+    def correct_by(self, theta: NDArray[np.float64]) -> None:
+        """Divide depth by 1 + b of theta (5,) from now on."""
         self.theta = theta
-        height, width = self._camera.height, self._camera.width
-        phi = np.empty((height * width, _TERMS))
-        _evaluate(self._camera.undistortion_map.reshape(-1, 2), self._half_view, phi)
-        self._gain = (1.0 / (1.0 + phi @ theta)).astype(np.float32).reshape(height, width)
+        rays = self._camera.undistortion_map
+        self._gain = np.empty(rays.shape[:2], np.float32)
+        _write_gain(rays, self._half_view, theta, self._gain)
 
     def _add(
         self,
@@ -148,11 +149,17 @@ def _terms(x, y, half_view, phi):
     phi[3], phi[4] = x * x - 1.0 / 3.0, y * y - 1.0 / 3.0
 
 
-@kernel
-def _evaluate(rays, half_view, phi):
-    """Write the phi_k (N, 5) of rays x/z, y/z (N, 2)."""
-    for i in range(rays.shape[0]):
-        _terms(rays[i, 0], rays[i, 1], half_view, phi[i])
+@parallel_kernel
+def _write_gain(rays, half_view, theta, gain):
+    """Write 1 / (1 + b) of the rays x/z, y/z (H, W, 2) into `gain` (H, W)."""
+    for v in prange(rays.shape[0]):
+        phi = np.empty(5)
+        for u in range(rays.shape[1]):
+            _terms(rays[v, u, 0], rays[v, u, 1], half_view, phi)
+            b = 0.0
+            for k in range(5):
+                b += phi[k] * theta[k]
+            gain[v, u] = 1.0 / (1.0 + b)
 
 
 @kernel

@@ -55,26 +55,27 @@ class Tracker:
         `config.threads` holds for the thread that makes the tracker, which is to call `track` too.
         """
         self.camera = camera
-        self.config = (config or Config()).scaled_to(camera.width, camera.height)
-        self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
+        self.config = config or Config()
+        self._config = self.config.scaled_to(camera.width, camera.height)
+        self.gaussians = GaussianMap(2.0 * self._config.registration.radius_m)
         self._T_world_first = np.eye(4) if T_world_first is None else T_world_first
         self._begun = False
         self._first: RgbdFrame | None = None  # until the second frame tells its velocity
         self._stamp_ns: int | None = None  # of the last frame, lost or not
         self._received: RgbdFrame | None = None  # the last frame, lost or not
-        self._offset = ColorDepthOffset(self.config.timing)
+        self._offset = ColorDepthOffset(self._config.timing)
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
-        self._policy = KeyframePolicy(self.config.keyframes)
+        self._policy = KeyframePolicy(self._config.keyframes)
         self._visited: list[NDArray[np.float64]] = []  # poses (4, 4) of the keyframes
         self._chain = KeyframeChain()  # and their covariances in the world
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
-        self._depth_bias = DepthBias(camera, self.config.sensor.depth_bias)
+        self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
-        self.threads = jit.set_threads(self.config.threads)
+        self.threads = jit.set_threads(self._config.threads)
 
     def track(self, frame: RgbdFrame) -> TrackResult:
         """Register a frame, and make it a keyframe where the view has moved on.
@@ -97,14 +98,14 @@ class Tracker:
             return self._relocalize(frame, self._relocalizer)
         if self._first is not None:
             self._place_first(self._first, frame)
-        found = estimate(frame, self._memory, self.gaussians, self.camera, self.config)
+        found = estimate(frame, self._memory, self.gaussians, self.camera, self._config)
         guesses = [found.registered.T_world_cam]
-        if not found.is_trusted(self.config):
+        if not found.is_trusted(self._config):
             return self._relocalize(frame, self._lose(), guesses)
         uncertainty = self._uncertainty(found.registration)
         evidence = weigh(
             found, self._memory, self._usual, self._in_doubt(uncertainty), self.gaussians,
-            self.camera, self.config,
+            self.camera, self._config,
         )  # fmt: skip
         if evidence.contradicts:
             return self._relocalize(frame, self._lose(), guesses)
@@ -158,10 +159,13 @@ class Tracker:
 
     def reconfigure(self, config: Config) -> None:
         """Go on with other settings; sensor, ablation, threads and timing stay as they were."""
-        kept = {name: getattr(self.config, name) for name in ('sensor', 'ablation', 'threads')}
-        config = config.scaled_to(self.camera.width, self.camera.height)
-        self.config = replace(config, timing=self.config.timing, **kept)
-        self._policy.config = config.keyframes
+        kept = {
+            name: getattr(self.config, name)
+            for name in ('sensor', 'ablation', 'threads', 'timing')
+        }
+        self.config = replace(config, **kept)
+        self._config = self.config.scaled_to(self.camera.width, self.camera.height)
+        self._policy.config = self._config.keyframes
 
     @property
     def T_world_cam(self) -> NDArray[np.float64]:
@@ -214,7 +218,7 @@ class Tracker:
         """Begin the map, or try again while it holds too little to track against."""
         self._first = frame
         first = self._start_map(frame, to_grey(frame.color), self._T_world_first, np.zeros(6))
-        begun = self._begun = len(first.ids) >= self.config.registration.min_pairs
+        begun = self._begun = len(first.ids) >= self._config.registration.min_pairs
         if begun:
             self._held = [first]
         covariance = np.zeros((6, 6)) if begun else _LOST_COVARIANCE
@@ -232,7 +236,7 @@ class Tracker:
         twist: NDArray[np.float64],
     ) -> Keyframe:
         """Start the map from one frame, of a camera that moves with `twist`."""
-        self.gaussians = GaussianMap(2.0 * self.config.registration.radius_m)
+        self.gaussians = GaussianMap(2.0 * self._config.registration.radius_m)
         self._visited.clear()
         self._chain.reset(1)
         self._depth_bias.reset(())
@@ -250,12 +254,14 @@ class Tracker:
         camera went until the colour's. Its Gaussians keep their ids.
         """
         self._first = None
-        at_once = self.config.sensor.depth_readout_ms == 0.0
+        sensor, memory = self._config.sensor, self._memory
+        at_once = sensor.depth_readout_ms == sensor.color_readout_ms == 0.0
         if first.stamp_ns == first.depth_stamp_ns and self._offset.seconds == 0.0 and at_once:
             return
-        memory = self._memory
-        found = estimate(second, memory, self.gaussians, self.camera, self.config)
-        if memory.last is not None and found.is_trusted(self.config):
+        # The landmarks are where the first frame's rows saw them: so should the second's be.
+        config = replace(self._config, sensor=replace(sensor, color_readout_ms=0.0))
+        found = estimate(second, memory, self.gaussians, self.camera, config)
+        if memory.last is not None and found.is_trusted(config):
             motion = memory.motion.arriving(found.registered.T_world_cam, second.stamp_ns)
             grey = memory.last.grey
             self._held = [self._start_map(first, grey, self.T_world_cam, motion.twist)]
@@ -267,7 +273,7 @@ class Tracker:
         guesses: Sequence[NDArray[np.float64]] = (),
     ) -> TrackResult:
         """Try a few of the places where the camera may be; go on from one that explains enough."""
-        config = self.config
+        config = self._config
         cloud = sample(frame, self.camera, config, config.cloud.stride_px, np.zeros(6))
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
         motion = self._memory.motion
@@ -313,7 +319,7 @@ class Tracker:
             if not self._unconfirmed:
                 self._depth_bias.observe(found.registration)
             self._unconfirmed = max(self._unconfirmed - 1, 0)
-            if found.sees_depth(self.config):
+            if found.sees_depth(self._config):
                 self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
@@ -326,8 +332,8 @@ class Tracker:
         self._memory = Memory(
             memory.motion.advanced(T, stamp_ns), self._offset.seconds, registered,
             registered if found.fresh else memory.image,
-            found.consistent_landmarks(self.config.landmarks.drop_chi2), memory.spread,
-            result.overlap if found.sees_depth(self.config) else memory.overlap,
+            found.consistent_landmarks(self._config.landmarks.drop_chi2), memory.spread,
+            result.overlap if found.sees_depth(self._config) else memory.overlap,
         )  # fmt: skip
 
     def _is_keyframe(self, found: Estimate) -> bool:
@@ -342,7 +348,7 @@ class Tracker:
 
         Points spawn only where the `last` frame's depth, if there is one, confirms them.
         """
-        config, frame, T = self.config, registered.frame, registered.T_world_cam
+        config, frame, T = self._config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
         T_world_depth = T @ registered.T_cam_cam_at_depth
         if last is not None:  # else there is no map yet to agree with
@@ -364,7 +370,7 @@ class Tracker:
 
     def _runs_out_of_landmarks(self) -> bool:
         """Return whether they are few, or missing where there were some, since the detection."""
-        spread_then, share = self._memory.spread, self.config.landmarks.replenish
+        spread_then, share = self._memory.spread, self._config.landmarks.replenish
         if spread_then is None:
             return False
         left = spread(self.landmarks.pixels, (self.camera.height, self.camera.width))
@@ -374,12 +380,12 @@ class Tracker:
 
     def _anchor_landmarks(self, registered: RegisteredFrame, host: int = -1) -> None:
         """Detect new landmarks, and anchor them in the map; `host` is the frame's keyframe."""
-        if not self.config.uses_landmarks:
+        if not self._config.uses_landmarks:
             return
         new = detect(
             registered.grey, registered.frame.depth_m, self.landmarks, registered.T_world_cam,
             registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
-            self.config.sensor, self.config.landmarks, self.config.registration.anchor_px, host,
+            self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
         )  # fmt: skip
         landmarks = self.landmarks.joined(new)
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
@@ -387,7 +393,7 @@ class Tracker:
 
     def _uncertainty(self, found: Registration) -> PoseUncertainty:
         variance = 1.0
-        if self.config.shares_covariance:  # not metric: scaled by the residual
+        if self._config.shares_covariance:  # not metric: scaled by the residual
             variance = max(found.sharp_depth.cost / max(found.inliers - 6, 1), _LEAST_VARIANCE)
         return pose_uncertainty(found, self.camera, variance)
 
@@ -424,7 +430,7 @@ class Tracker:
             self._limit = MotionLimit.begun(measured, T, stamp_ns)
         else:
             self._limit = self._limit.updated(measured, T, stamp_ns)
-        late = 1e-3 * self.config.sensor.stamp_ms * self._memory.motion.twist
+        late = 1e-3 * self._config.sensor.stamp_ms * self._memory.motion.twist
         return self._limit.covariance + np.outer(late, late)
 
     def _measured(self, uncertainty: PoseUncertainty) -> NDArray[np.float64]:
@@ -440,7 +446,7 @@ class Tracker:
 
     def _is_degenerate(self, spectrum: Observability, covariance: NDArray[np.float64]) -> bool:
         """Return whether a direction is not held, by this frame or by what is claimed of it."""
-        limits = self.config.registration
+        limits = self._config.registration
         claimed_m, claimed_rad = (
             math.sqrt(np.linalg.eigvalsh(block)[-1])
             for block in (covariance[:3, :3], covariance[3:, 3:])

@@ -15,6 +15,7 @@ from ..config.schema import override
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from ..sensor import SensorNoise
+from .depth_bias import TERMS, DepthBias
 from .tracker import Tracker
 
 _FRAMES = 4
@@ -45,6 +46,7 @@ def warm_up(camera: PinholeCamera, config: Config) -> None:
     tracker = Tracker(camera, override(config, EVERY_FRAME))
     for frame in frames(camera, config.sensor):
         tracker.track(frame)
+    DepthBias(camera, config.sensor.depth_bias).correct_by(np.zeros(TERMS))
 
 
 def frames(camera: PinholeCamera, sensor: SensorNoise) -> Iterator[RgbdFrame]:

@@ -168,7 +168,7 @@ def test_a_small_image_is_sampled_as_densely_as_a_large_one() -> None:
     assert_true(KINECT, results)
     assert len(tracker.landmarks) > 100 and results[-1].points > 1000
     tracker.reconfigure(Config(sensor=source_of(KINECT).sensor))
-    assert tracker.config.cloud.stride_px < Config().cloud.stride_px
+    assert tracker._config.cloud.stride_px < Config().cloud.stride_px
 
 
 def test_the_first_frame_is_where_it_is_said_to_be() -> None:
@@ -437,7 +437,7 @@ def test_the_first_keyframe_comes_with_the_second_frame_or_when_flushed() -> Non
 
 def test_depth_is_tracked_and_handed_over_as_it_is_corrected() -> None:
     frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
-    tracker._depth_bias._correct_by(np.full(5, 0.01))
+    tracker._depth_bias.correct_by(np.full(5, 0.01))
     tracker.track(frames[0])
     (keyframe,) = tracker.flush()
     corrected = tracker.corrected(frames[0]).depth_m

@@ -179,7 +179,7 @@ def replaced(parts: dict[str, Any], name: str, field: str, value: Any) -> dict[s
 BROKEN: dict[str, Callable[[dict[str, Any]], object]] = {
     'colour of another size': lambda p: replaced(p, 'color', 'height', 20),
     'depth of another size': lambda p: replaced(p, 'depth', 'width', 20),
-    'unknown encoding': lambda p: replaced(p, 'color', 'encoding', 'yuv422'),
+    'unknown encoding': lambda p: replaced(p, 'color', 'encoding', 'yuv9'),
     'colour for depth': lambda p: replaced(p, 'depth', 'encoding', 'rgb8'),
     'too little data': lambda p: replaced(p, 'color', 'data', p['color'].data[:-1]),
     'no depth at all': lambda p: replaced(p, 'depth', 'data', bytes(len(p['depth'].data))),

@@ -17,6 +17,7 @@ from .camera import CameraError, LensError, PinholeCamera
 
 _WIDEST_RAD = np.radians(89.5)  # from the axis: what a rectified image cannot hold
 _STEPS, _DIRECTIONS = 256, 64  # of the rays that are followed outwards
+_FAR_PX = 1e18  # of pixels that absurd numbers put infinitely far away
 _ZOOM, _MOST_ZOOM = 1.02, 3.0  # of the rectified image, until the lens sees all of it
 _LENGTHS = {True: (4,), False: (4, 5, 8, 12, 14)}  # of the distortion, by `fisheye`
 
@@ -85,7 +86,8 @@ class LensCamera:
             pixels, _ = cv2.fisheye.projectPoints(points, still, still, K, D)
         else:
             pixels, _ = cv2.projectPoints(points, still, still, K, D)
-        return pixels.reshape(-1, 2).astype(np.float32)
+        finite = np.nan_to_num(pixels.reshape(-1, 2), nan=_FAR_PX)
+        return np.clip(finite, -_FAR_PX, _FAR_PX).astype(np.float32)
 
     @cached_property
     def pinhole(self) -> PinholeCamera:

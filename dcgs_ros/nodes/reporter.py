@@ -45,3 +45,8 @@ class Reporter:
         """Log an event, unless one like it was logged a moment ago."""
         if self._throttle.admits(text):
             self._node.get_logger().warning(text)
+
+    def inform(self, text: str) -> None:
+        """Log what nobody has to mend; as `warn`."""
+        if self._throttle.admits(text):
+            self._node.get_logger().info(text)

@@ -51,7 +51,9 @@ class TrackerNode(Node):
         settings = self._params.settings
         node_settings = settings.node
         self._outputs = TrackerOutputs(self, node_settings, self._warn)
-        self._camera = CameraSubscriber(self, node_settings, self._warn, self._outputs.lookup)
+        self._camera = CameraSubscriber(
+            self, node_settings, self._warn, self._outputs.lookup, self._reporter.inform
+        )
         self._session = TrackingSession(core_config(settings), np.eye(4), self._warn)
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb

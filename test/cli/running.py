@@ -25,8 +25,8 @@ SMALL_FRAMES = 10
 SMALL_ADDRESS = f'synthetic:room?frames={SMALL_FRAMES}'
 # Sampling dense enough for small images, a view every third frame, few steps.
 SMALL_ROOM = (
-    SMALL_ADDRESS, '--render-every', '2', '--set', 'cloud.stride_px=4',
-    'keyframes.spawn_stride_px=3', 'mapping.view_interval=3', 'mapping.steps_per_frame=2',
+    SMALL_ADDRESS, '--render-every', '2', '--set', 'mapping.spawn_stride_px=2',
+    'mapping.view_interval=3', 'mapping.steps_per_frame=2',
     'mapping.final_steps=12',
 )  # fmt: skip
 

@@ -21,7 +21,6 @@ from camera import Shot, halved  # type: ignore[import-not-found]
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
-from dcgs_ros.io.ros_images import read_camera
 from dcgs_ros.io.trajectory import read_tum
 from dcgs_ros.nodes import tracker
 from dcgs_ros.nodes.health import Level
@@ -61,10 +60,11 @@ class Robot:
         node._ready = True
 
     def track(self, shot: Shot) -> None:
-        parts, camera = shot.messages, read_camera(shot.messages['camera_info'])
+        parts = shot.messages
+        self.node._camera.reader.on_info('color', parts['camera_info'])
         pair = ImagePair(shot.stamp_ns, parts['color'], shot.stamp_ns, parts['depth'])
         self.node._outputs.mounting._due_s = 0.0  # asks TF at every frame
-        self.node._track(pair, camera)
+        self.node._track(pair)
 
     def bases(self) -> list[NDArray[np.float64]]:
         return [matrix(message.pose.pose) for message in self.sent]

@@ -233,7 +233,7 @@ def test_registered_depth_in_the_depth_cameras_frame_is_tracked_and_told(robot: 
     camera.play(in_depths_frame(robot, 30))
     camera.settle()
     assert len(robot.observer.poses) == 30
-    assert log(robot).count('depth is registered as recorded, as its name says, though in') == 1
+    assert log(robot).count('registration of depth: as recorded, as its name says, though in') == 1
     assert tracker.poll() is None
 
 

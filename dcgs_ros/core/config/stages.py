@@ -11,16 +11,18 @@ from ..sensor import SensorNoise
 from .presets import Ablation
 from .schema import Stage, described, override, ranged
 
+_PIXELS = 'pixels of 640x480 (scaled in smaller images)'
+
 
 @dataclass(frozen=True)
 class CloudConfig(Stage):
     """Sampling of points with normals from a depth image."""
 
     stride_px: int = ranged(
-        10, 2, 64, 'Side of the square cells, pixels, each of which gives one point.'
+        10, 2, 64, f'Side of the square cells, {_PIXELS}, each of which gives one point.'
     )
     dilation_px: int = ranged(
-        3, 1, 16, "Spacing of the neighbours that give a point's scatter Q_i, pixels."
+        3, 1, 16, f"Spacing of the neighbours that give a point's scatter Q_i, {_PIXELS}."
     )
     half_window: int = ranged(
         2, 1, 5, 'Neighbours are every second pixel of a window of 2 half_window + 1 a side.'
@@ -38,7 +40,7 @@ class LandmarkConfig(Stage):
     """KLT corners and the image residual."""
 
     corners: int = ranged(300, 1, 5000, 'Largest number of corners that are tracked.')
-    min_distance_px: int = ranged(12, 2, 200, 'Smallest distance between corners, pixels.')
+    min_distance_px: int = ranged(12, 2, 200, f'Smallest distance between corners, {_PIXELS}.')
     min_gradient_sigmas: float = ranged(
         3.0,
         0,
@@ -169,12 +171,15 @@ class KeyframeConfig(Stage):
         'Turn rate above which only an urgent keyframe is made, radians per second.',
     )
     spawn_stride_px: int = ranged(
-        5, 2, 64, 'Side of the square cells, pixels, in each of which a keyframe adds a Gaussian.'
+        5,
+        2,
+        64,
+        f'Side of the square cells, {_PIXELS}, in each of which a keyframe adds a Gaussian.',
     )
     spawn_min_m: float = ranged(
         0.015, 1e-4, 1, 'Smallest distance of new Gaussians from others on the surface, metres ...'
     )
-    spawn_px: float = ranged(4.0, 0.1, 100, '... and in the image, pixels.')
+    spawn_px: float = ranged(4.0, 0.1, 100, f'... and in the image, {_PIXELS}.')
 
 
 @dataclass(frozen=True)

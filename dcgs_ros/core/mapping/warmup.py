@@ -10,7 +10,7 @@ from ..config.stages import Config
 from ..kernels.workers import Workers
 from ..slam import Lockstep
 from ..tracking.tracker import Tracker
-from ..tracking.warmup import EVERY_FRAME, frames
+from ..tracking.warmup import EVERY_FRAME, frames, warm_up_now_and_then
 from .mapper import Mapper
 
 # Coarse steps and then full ones, few Gaussians, and what else comes up in a run now and then.
@@ -35,3 +35,4 @@ def warm_up_with_mapper(camera: PinholeCamera, config: Config) -> None:
         mapping.advance()
     for _ in mapping.finish():
         pass
+    warm_up_now_and_then(camera)

@@ -46,10 +46,11 @@ class CameraSubscriber:
         settings: TrackerNodeSettings,
         warn: Callable[[str], None],
         lookup: Lookup,
+        inform: Callable[[str], None],
     ) -> None:
         """Subscribe to camera_info, which tells how many images go by before `begin`.
 
-        `lookup` asks TF for T_parent_child.
+        `lookup` asks TF for T_parent_child; `warn` and `inform` get lines for the log.
         """
         self._refused_camera = ''  # why the last camera_info could not be used
         self.queue: WorkQueue[ImagePair[SomeImage, SomeImage]] = WorkQueue(_WAITING_PAIRS)
@@ -70,9 +71,8 @@ class CameraSubscriber:
                 ('depth', _DEPTH, DEPTH_TRANSPORTS[settings.depth_transport]),
             )
         }
-        tell = node.get_logger().info
         topics = [*self._images.values()]
-        self.reader = FrameReader(settings.depth_registration, topics, lookup, tell)
+        self.reader = FrameReader(settings.depth_registration, topics, lookup, inform)
         qos = sensor_qos(settings.reliability, _INFOS)
         subscribe = node.create_subscription
         # Also as image_transport: the CameraInfo of depth is beside its images, where these are.

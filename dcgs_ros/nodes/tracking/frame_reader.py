@@ -109,7 +109,7 @@ class FrameReader:
         self._registration, self._made_for = found, key
         if found.reason != self._told:
             self._told = found.reason
-            self._tell(f'depth is registered {found.reason}')
+            self._tell(f'registration of depth: {found.reason}')
         return found
 
     @property

@@ -47,7 +47,7 @@ from dcgs_ros.io.trajectory import write_tum
 FRAMES = 5
 CUT_FRAMES = 180  # of 16 KB: chunks of an mcap have a megabyte
 SQLITE_PAGE = 4096
-FLAT_FRAMES = 20  # of the 300 more
+FLAT_FRAMES = 40  # of the 300 more; stamps and places of all are kept
 
 Bag = Callable[..., Path]
 

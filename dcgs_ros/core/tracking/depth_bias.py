@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from ..camera import PinholeCamera
 from ..frame import RgbdFrame
 from ..kernels.jit import kernel, parallel_kernel
-from ..kernels.small_matrix import inverse_symmetric
-from .factors import PointFactors, plane_residual
+from .factors import PointFactors, information, plane_residual
 from .registration import Registration
 
 TERMS = 5  # x, y, xy, x^2, y^2; a constant cannot be told from the scale of the world
@@ -75,10 +74,12 @@ class DepthBias:
         """Take what the residuals of a registered frame tell of theta."""
         if self._sigma == 0.0:
             return
-        upper = np.zeros((len(self._hosts), 7 + TERMS, 7 + TERMS))
-        self._add(found.depth, found.T_world_cam, _EVERY, upper)
-        if found.image is not None:
-            self._add(found.image, found.T_world_cam, 1, upper)
+        pairs = [(found.depth, _EVERY)] + ([(found.image, 1)] if found.image is not None else [])
+        hosts = np.concatenate([factors.targets.hosts for factors, _ in pairs])
+        seen = np.flatnonzero(np.bincount(hosts + 1, minlength=len(self._hosts) + 1)[1:])
+        upper = np.zeros((len(seen), 7 + TERMS, 7 + TERMS))
+        for factors, every in pairs:
+            self._add(factors, found.T_world_cam, every, seen, upper)
         upper = upper[upper[:, 0, 0] > 0.0]
         systems = upper + np.triu(upper, 1).transpose(0, 2, 1)
         H, across = systems[:, :6, :6] + _WEAK_POSE, systems[:, :6, 6:]
@@ -131,13 +132,17 @@ class DepthBias:
         pairs: PointFactors,
         T_world_cam: NDArray[np.float64],
         every: int,
-        upper: NDArray[np.float64],
+        seen: NDArray[np.int64],  # (S,) hosts
+        upper: NDArray[np.float64],  # (S, 12, 12)
     ) -> None:
         t = pairs.targets
+        rows = np.full(len(self._hosts) + 1, -1, np.int32)  # the last one of no host
+        rows[seen] = np.arange(len(seen))
         normals = _NO_NORMALS if pairs.normals is None else pairs.normals
         _accumulate(
-            pairs.points, pairs.covariances, normals, t.points, t.axes, t.perp, t.along, t.hosts,
-            T_world_cam, self._hosts, self._thetas, self.theta, self._half_view, every, upper,
+            pairs.points, pairs.covariances, normals, t.points, t.axes, t.perp, t.along,
+            rows[t.hosts], T_world_cam, self._hosts[seen], self._thetas[seen], self.theta,
+            self._half_view, every, upper,
         )  # fmt: skip
 
 
@@ -172,15 +177,15 @@ def _accumulate(
     Only the upper triangles of `systems` (K, 12, 12) are written.
 
     `points` to `along` and `T` as in `factors`; `normals` (N, 3) of depth points, which count
-    along them only, or (0, 3). `hosts` (N,) are keyframes: `T_hosts` (K, 4, 4) T_world_cam and
-    `thetas` (K, 5), NaN where depth was corrected by something else. B is the derivative of the
-    residual by theta, and y what it would be had depth not been corrected.
+    along them only, or (0, 3). `hosts` (N,) are keyframes, or -1: `T_hosts` (K, 4, 4) T_world_cam
+    and `thetas` (K, 5), NaN where depth was corrected by something else. B is the derivative of
+    the residual by theta, and y what it would be had depth not been corrected.
     """
     rows, e = np.zeros((3, 12)), np.zeros(3)
     then, now = np.zeros(5), np.zeros(5)
     for i in range(0, points.shape[0], every):
         host = hosts[i]
-        if perp[i] < 0.0 or host < 0 or host >= thetas.shape[0] or np.isnan(thetas[host, 0]):
+        if perp[i] < 0.0 or host < 0 or np.isnan(thetas[host, 0]):
             continue
         H = T_hosts[host]
         dx, dy, dz = targets[i, 0] - H[0, 3], targets[i, 1] - H[1, 3], targets[i, 2] - H[2, 3]
@@ -215,15 +220,9 @@ def _accumulate(
             m00, m01, m02 = n0 * n0 / variance, n0 * n1 / variance, n0 * n2 / variance
             m11, m12, m22 = n1 * n1 / variance, n1 * n2 / variance, n2 * n2 / variance
         else:
-            u0 = T[0, 0] * axes[i, 0] + T[1, 0] * axes[i, 1] + T[2, 0] * axes[i, 2]
-            u1 = T[0, 1] * axes[i, 0] + T[1, 1] * axes[i, 1] + T[2, 1] * axes[i, 2]
-            u2 = T[0, 2] * axes[i, 0] + T[1, 2] * axes[i, 1] + T[2, 2] * axes[i, 2]
-            p, q = perp[i], along[i] - perp[i]
-            c = covariances[i]
-            m00, m01, m02, m11, m12, m22 = inverse_symmetric(
-                c[0] + p + q * u0 * u0, c[1] + q * u0 * u1, c[2] + q * u0 * u2,
-                c[3] + p + q * u1 * u1, c[4] + q * u1 * u2, c[5] + p + q * u2 * u2,
-            )  # fmt: skip
+            m00, m01, m02, m11, m12, m22 = information(
+                covariances[i], axes[i], perp[i], along[i], T
+            )
         square = (
             m00 * e[0] * e[0] + m11 * e[1] * e[1] + m22 * e[2] * e[2]
             + 2.0 * (m01 * e[0] * e[1] + m02 * e[0] * e[2] + m12 * e[1] * e[2])

@@ -137,10 +137,10 @@ def estimate(
             found = replace(alone, image=image)
 
     T = found.T_world_cam
+    motion, lag_s = memory.motion.arriving(T, frame.stamp_ns), memory.lag_s(frame)
     registered = RegisteredFrame(
-        frame, T, memory.depth_motion(frame, T), grey,
-        memory.motion.arriving(T, frame.stamp_ns).twist, memory.depth_twist(frame, T),
-    )  # fmt: skip
+        frame, T, motion.pose_after(lag_s), grey, motion.twist, motion.twist_after(lag_s)
+    )
     return Estimate(registered, found, landmarks, measured, fresh)
 
 

@@ -310,6 +310,24 @@ def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total
 
 
 @kernel
+def information(c, axis, perp, along, T):
+    """Return Omega^-1 of a pair in the camera frame: xx, xy, xz, yy, yz, zz.
+
+    `c` D (6,); `axis` (3,) world, `perp`, `along` of `Targets`; `T` (4, 4) T_world_cam. The loop
+    of `_accumulate` keeps T in registers instead, and does not call this.
+    """
+    x, y, z = axis[0], axis[1], axis[2]
+    u0 = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
+    u1 = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
+    u2 = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+    k = along - perp
+    return inverse_symmetric(
+        c[0] + perp + k * u0 * u0, c[1] + k * u0 * u1, c[2] + k * u0 * u2,
+        c[3] + perp + k * u1 * u1, c[4] + k * u1 * u2, c[5] + perp + k * u2 * u2,
+    )  # fmt: skip
+
+
+@kernel
 def plane_residual(point, c, normal, target, axis, perp, along, T):
     """Return a pair's variance along n, n . a in metres, and its residual n . (R^T (mu - t) - a).
 

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..kernels.jit import kernel
-from ..kernels.small_matrix import inverse_symmetric
-from .factors import PointFactors, plane_residual
+from .factors import PointFactors, information, plane_residual
 from .registration import Registration
 
 _COLUMNS, _ROWS = 8, 6  # cells of the image: 80 px of 640x480
@@ -267,19 +266,7 @@ def _sum_image(points, covariances, targets, axes, perp, along, T, huber, view, 
         e0 = T[0, 0] * dx + T[1, 0] * dy + T[2, 0] * dz - x
         e1 = T[0, 1] * dx + T[1, 1] * dy + T[2, 1] * dz - y
         e2 = T[0, 2] * dx + T[1, 2] * dy + T[2, 2] * dz - z
-        ux, uy, uz = axes[i, 0], axes[i, 1], axes[i, 2]
-        u0 = T[0, 0] * ux + T[1, 0] * uy + T[2, 0] * uz
-        u1 = T[0, 1] * ux + T[1, 1] * uy + T[2, 1] * uz
-        u2 = T[0, 2] * ux + T[1, 2] * uy + T[2, 2] * uz
-        p, k = perp[i], along[i] - perp[i]
-        m00, m01, m02, m11, m12, m22 = inverse_symmetric(
-            covariances[i, 0] + p + k * u0 * u0,
-            covariances[i, 1] + k * u0 * u1,
-            covariances[i, 2] + k * u0 * u2,
-            covariances[i, 3] + p + k * u1 * u1,
-            covariances[i, 4] + k * u1 * u2,
-            covariances[i, 5] + p + k * u2 * u2,
-        )
+        m00, m01, m02, m11, m12, m22 = information(covariances[i], axes[i], perp[i], along[i], T)
         f0 = m00 * e0 + m01 * e1 + m02 * e2
         f1 = m01 * e0 + m11 * e1 + m12 * e2
         f2 = m02 * e0 + m12 * e1 + m22 * e2

@@ -76,7 +76,7 @@ FUZZED, FUZZED_KEYFRAMES = 6_000, 300  # images, which makes ten thousand messag
 PAUSE_S = 0.001  # between broken messages
 GROWTH_MB = 60.0
 MAPPER_GROWTH_MB = 400.0  # of which a map of some keyframes has half
-LINES, THROTTLE_S = 48, 5.0  # of the log: eight kinds of six messages, then one in five seconds
+LINES, THROTTLE_S = 16, 5.0  # of the log: one in five seconds is meant, and a few
 CLAIMED_BYTES = 2**31 - 1
 
 
@@ -230,9 +230,10 @@ def in_depths_frame(robot: Robot, count: int) -> list[Shot]:
 
 def test_registered_depth_in_the_depth_cameras_frame_is_tracked_and_told(robot: Robot) -> None:
     tracker, camera = begin(robot)
-    camera.play(in_depths_frame(robot, 30))
+    taken = in_depths_frame(robot, 31)  # the last may wait for a nearer partner
+    camera.play(taken)
     camera.settle()
-    assert len(robot.observer.poses) == 30
+    assert {shot.stamp_ns for shot in taken[:30]} <= robot.observer.poses.keys()
     assert log(robot).count('registration of depth: as recorded, as its name says, though in') == 1
     assert tracker.poll() is None
 

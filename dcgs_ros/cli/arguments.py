@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal, get_args
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from ..core.config.presets import Ablation, Quality
+from ..core.config.presets import Ablation, Quality, RegistrationChoice
 from ..core.errors import DcgsError
-from ..datasets.options import RegistrationChoice, SourceOptions
+from ..datasets.options import SourceOptions
 
 OutputFormat = Literal['mcap', 'sqlite3', 'tum']
 

@@ -8,12 +8,11 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
+from ..core.config.presets import RegistrationChoice
 from ..core.config.schema import Stage, described, flatten, override, ranged
-
-RegistrationChoice = Literal['auto', 'none', 'extrinsics']
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class SourceOptions(Stage):
         'Rate of the images, hertz, for stamps that are missing or useless: images are paired and '
         'stamped in their order. By default the stamps are used.',
     )
-    depth_registration: Literal['auto', 'none', 'extrinsics'] = described(
+    depth_registration: RegistrationChoice = described(  # noqa: RUF009  it does not see that this is a Literal
         'auto',
         'Registration of the depth of a recording to its colour. none: depth is registered '
         'already; extrinsics: by the recorded ones. By default the frames, topics and intrinsics '

@@ -8,6 +8,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Literal
 
+from .presets import RegistrationChoice
 from .schema import Stage, described, ranged
 from .stages import Config
 
@@ -60,7 +61,7 @@ class TrackerNodeSettings(Stage):
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
     )
-    depth_registration: Literal['auto', 'none', 'extrinsics'] = described(
+    depth_registration: RegistrationChoice = described(  # noqa: RUF009  it does not see that this is a Literal
         'auto',
         'Registration of depth to colour. none: depth is registered already; extrinsics: by TF '
         'between the frames of the images; auto: by their frames, the topic and the intrinsics.',

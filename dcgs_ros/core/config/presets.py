@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Named choices: the ablations, and the settings that `--quality` and `--online` change.
+"""Named choices: ablations, depth's registration, what `--quality` and `--online` change.
 
 The command line's `--help` lists them, so this module imports nothing heavy.
 """
@@ -11,6 +11,7 @@ from typing import Literal
 
 Ablation = Literal['full', 'sigma_t', 'shared', 'shared_klt']
 Quality = Literal['draft', 'default', 'high']
+RegistrationChoice = Literal['auto', 'none', 'extrinsics']  # of depth to colour
 
 # With the mapper in its own thread the clock leaves fewer steps: fewer views share them, and more
 # of them are at reduced resolution.

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
+from ...core.config.presets import RegistrationChoice
 from ...core.errors import DcgsError, FrameError
 from ...core.lens_camera import Camera
 from ...core.sensor import SensorNoise
@@ -43,7 +44,7 @@ from ..images.registration import (
     rectified,
 )
 from ..images.resampling import scaled
-from ..options import AS_STORED, RegistrationChoice, SourceOptions
+from ..options import AS_STORED, SourceOptions
 from ..parsing.intrinsics import parse_intrinsics
 from ..source import SourceError
 from .camera_info import first_camera
@@ -54,12 +55,8 @@ from .recording import custom_data, first_messages, raw_messages
 from .recovery.losses import DamagedError
 from .topics import CameraTopics, camera_topics, viewer_stream
 
-_SENSOR_ADDED = {
-    'depth_bias',
-    'depth_readout_ms',
-    'color_readout_ms',
-    'stamp_ms',
-}  # older recordings lack them
+# Fields that older recordings lack.
+_SENSOR_ADDED = {'depth_bias', 'depth_readout_ms', 'color_readout_ms', 'stamp_ms'}
 _FEW = 5  # images at the beginning: some may be damaged
 SENSOR_KEY = 'dcgs_ros.sensor'  # of metadata.yaml's custom data: JSON of SensorNoise's fields
 

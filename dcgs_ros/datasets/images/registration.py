@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
+from ...core.config.presets import RegistrationChoice
 from ...core.errors import DcgsError
 from ...core.lens_camera import Camera, LensCamera
-from ..options import RegistrationChoice
 from .depth_registration import register_depth
 from .resampling import moved_px, resample_color, resample_depth, scaled
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from ...core.camera import PinholeCamera
+from ...core.config.presets import RegistrationChoice
 from ...core.frame import RgbdFrame
 from ...core.lens_camera import Camera
 from ...datasets.images.camera_timeline import CameraTimeline, is_another
 from ...datasets.images.registration import (
     Registration,
-    RegistrationChoice,
     Stream,
     find_registration,
 )

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.config.presets import RegistrationChoice
 from dcgs_ros.core.lens_camera import LensCamera
 from dcgs_ros.datasets.images.depth_registration import register_depth
 from dcgs_ros.datasets.images.registration import (
     Registration,
-    RegistrationChoice,
     RegistrationError,
     Stream,
     find_registration,

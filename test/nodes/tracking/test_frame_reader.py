@@ -18,10 +18,11 @@ from sensor_msgs.msg import CameraInfo
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import CameraError, PinholeCamera
+from dcgs_ros.core.config.presets import RegistrationChoice
 from dcgs_ros.core.errors import DcgsError, FrameError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.lens_camera import Camera, LensCamera
-from dcgs_ros.datasets.images.registration import RegistrationChoice, RegistrationError
+from dcgs_ros.datasets.images.registration import RegistrationError
 from dcgs_ros.datasets.images.resampling import scaled
 from dcgs_ros.io.ros_images import MessageError
 from dcgs_ros.nodes.messages.images import header, write_color, write_depth, write_depth_mm

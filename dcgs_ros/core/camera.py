@@ -47,7 +47,7 @@ class PinholeCamera:
         if self.width < 16 or self.height < 16:
             raise CameraError(f'image of {self.width}x{self.height} pixels is smaller than 16x16')
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
-        if not (np.all(np.abs(numbers) < LARGEST) and min(self.fx, self.fy) > 1e-3):
+        if not (np.all(np.abs(numbers) <= LARGEST) and min(self.fx, self.fy) > 1e-3):
             raise CameraError(f'intrinsics fx fy cx cy distortion = {numbers} are not usable')
         if len(self.distortion) not in (0, 4, 5, 8):
             raise CameraError(f'distortion has {len(self.distortion)} numbers, not 0, 4, 5 or 8')

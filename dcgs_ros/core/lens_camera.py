@@ -47,7 +47,7 @@ class LensCamera:
         lengths = _LENGTHS[self.fisheye]
         if len(self.distortion) not in lengths:
             raise CameraError(f'distortion has {len(self.distortion)} numbers, not {lengths}')
-        if not np.all(np.abs(self.distortion) < LARGEST):
+        if not np.all(np.abs(self.distortion) <= LARGEST):
             raise CameraError(f'distortion {self.distortion} is not usable')
         self._check_lens()
         _ = self.pinhole

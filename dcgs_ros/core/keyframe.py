@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What tracker and mapper hand each other: images with poses and Gaussians, and the answer."""
+"""What tracker, mapper and back end hand each other."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import se3
 from .frame import RgbdFrame
 
 
@@ -22,12 +23,44 @@ class PosedFrame:
 
 
 @dataclass(frozen=True)
+class Odometry:
+    """Where a keyframe was tracked relative to the ones whose Gaussians it matched."""
+
+    keyframe: int  # its index, from 0, which never changes
+    submap: int  # in which it is, from 0
+    hosts: NDArray[np.int32]  # (H,) earlier keyframes, the most matched first; none begin a map
+    T_host_cam: NDArray[np.float64]  # (H, 4, 4)
+    shares: NDArray[np.float64]  # (H,) of the matches
+    covariance: NDArray[np.float64]  # (6, 6) of xi in T_host_cam exp(xi), m and rad, of all hosts
+
+
+@dataclass(frozen=True)
 class Keyframe(PosedFrame):
     """A frame that extended the tracker's map, with the Gaussians it spawned."""
 
     ids: NDArray[np.int64]  # (N,)
     means: NDArray[np.float32]  # (N, 3) metres, world
     normals: NDArray[np.float32]  # (N, 3) unit, world
+    odometry: Odometry | None = None  # None: from another process
+
+    def moved(self, motion: NDArray[np.float64]) -> Keyframe:
+        """Return it and its Gaussians moved by `motion` (4, 4), in the world."""
+        return replace(
+            self, T_world_cam=motion @ self.T_world_cam,
+            means=se3.transform(motion, self.means).astype(np.float32),
+            normals=(self.normals @ motion[:3, :3].T).astype(np.float32),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Better poses of all keyframes that the back end knows; later ones go with the last."""
+
+    revision: int  # rising
+    stamps_ns: NDArray[np.int64]  # (K,) of the first K keyframes, which name them everywhere
+    T_world_cam: NDArray[np.float64]  # (K, 4, 4)
+    covariances: NDArray[np.float64]  # (K, 6, 6) in the world: of eps in exp(eps) T_world_cam
+    submaps: NDArray[np.int32]  # (K,) in which each is; those that were joined have one number
 
 
 @dataclass(frozen=True)

@@ -170,6 +170,13 @@ class KeyframeConfig(Stage):
         100,
         'Turn rate above which only an urgent keyframe is made, radians per second.',
     )
+    new_submap_s: float | None = ranged(
+        4.0,
+        0.1,
+        1e6,
+        'Time for which a lost camera is looked for before a new sub-map begins, which is not '
+        'joined to the map, seconds; auto: it is always looked for.',
+    )
     spawn_stride_px: int = ranged(
         5,
         2,

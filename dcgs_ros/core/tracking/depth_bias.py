@@ -63,6 +63,10 @@ class DepthBias:
         self._thetas = np.full((len(self._hosts), TERMS), np.nan)
         self._begin_interval()
 
+    def move(self, visited: Sequence[NDArray[np.float64]]) -> None:
+        """Take the corrected poses (4, 4) of the hosts."""
+        self._hosts = np.array(visited, np.float64).reshape(-1, 4, 4)
+
     def _begin_interval(self) -> None:
         self._system, self._right = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
 

@@ -53,6 +53,16 @@ class Memory:
     spread: NDArray[np.int64] | None = None  # landmarks in each cell at the last detection
     overlap: float = 0.0  # of the last frame
 
+    def moved(self, motions: NDArray[np.float64], T: NDArray[np.float64]) -> Memory:
+        """Return it after keyframes moved by `motions` (K, 4, 4), and the camera by T (4, 4)."""
+        last, image = (
+            frame and replace(frame, T_world_cam=T @ frame.T_world_cam)
+            for frame in (self.last, self.image)
+        )
+        motion = replace(self.motion, T_world_cam=T @ self.motion.T_world_cam)
+        landmarks = self.landmarks.moved(motions, T)
+        return replace(self, motion=motion, last=last, image=image, landmarks=landmarks)
+
     def lag_s(self, frame: RgbdFrame) -> float:
         """Return how long after the colour's the depth's instant is, seconds."""
         return (frame.depth_stamp_ns - frame.stamp_ns) * 1e-9 + self.offset_s

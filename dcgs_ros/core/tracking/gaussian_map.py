@@ -12,7 +12,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
-from ..kernels.jit import CHUNKS, parallel_kernel
+from ..kernels.jit import CHUNKS, kernel, parallel_kernel
 from ..kernels.lens import distortion_at
 from ..kernels.spatial_index import VoxelIndex
 from ..sensor import SensorNoise
@@ -34,6 +34,7 @@ class GaussianMap:
 
     def __init__(self, cell_m: float) -> None:
         """Start empty; `cell_m` is the size of the cells of the spatial index, metres."""
+        self._cell_m = cell_m
         self.index = VoxelIndex(cell_m)
         self._means = np.empty((0, 3), np.float32)
         self._normals = np.empty((0, 3), np.float32)
@@ -41,6 +42,7 @@ class GaussianMap:
         self._flatness = np.empty(0, np.float32)
         self._ids = np.empty(0, np.int64)
         self._hosts = np.empty(0, np.int32)
+        self._observers = np.empty(0, np.int32)  # keyframe of each viewpoint
         self._slot_of_id = np.empty(0, np.int32)
         self._used = 0
         self._free: list[int] = []
@@ -127,7 +129,7 @@ class GaussianMap:
         self._viewpoints[slots] = viewpoints
         self._flatness[slots] = flatness
         self._ids[slots] = ids
-        self._hosts[slots] = hosts
+        self._hosts[slots] = self._observers[slots] = hosts
         self.index.insert(self._means, slots)
 
     def remove(self, ids: NDArray[np.int64]) -> None:
@@ -159,6 +161,18 @@ class GaussianMap:
         self._normals[slots] = between / np.linalg.norm(between, axis=1, keepdims=True)
         self._flatness[slots] = flatness[alive]
 
+    def move(self, motions: NDArray[np.float64]) -> None:
+        """Move each Gaussian with its host, and each viewpoint with the keyframe it is of.
+
+        `motions` (K, 4, 4) is, for each keyframe, from where the world had it to where it is now.
+        """
+        _move(
+            self.means, self.normals, self.viewpoints, self.hosts,
+            self._observers[: self._used], np.ascontiguousarray(motions),
+        )  # fmt: skip
+        self.index = VoxelIndex(self._cell_m)
+        self.index.insert(self._means, np.flatnonzero(self.ids >= 0).astype(np.int32))
+
     def alive(self, ids: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (N,) whether each id is of a Gaussian in the map."""
         known = (ids >= 0) & (ids < self._next_id)
@@ -178,7 +192,15 @@ class GaussianMap:
         reused = [self._free.pop() for _ in range(min(n, len(self._free)))]
         fresh = range(self._used, self._used + n - len(reused))
         self._used = fresh.stop
-        for name in ('_means', '_normals', '_viewpoints', '_flatness', '_ids', '_hosts'):
+        for name in (
+            '_means',
+            '_normals',
+            '_viewpoints',
+            '_flatness',
+            '_ids',
+            '_hosts',
+            '_observers',
+        ):
             setattr(self, name, _grown(getattr(self, name), self._used))
         return np.array([*reused, *fresh], dtype=np.int32)
 
@@ -196,14 +218,16 @@ class GaussianMap:
         depth_m: NDArray[np.float32],
         camera: PinholeCamera,
         sensor: SensorNoise,
+        keyframe: int,
     ) -> int:
         """Make T's optical centre the viewpoint of the Gaussians that a depth image (H, W) sees.
 
-        Sigma_t is then the noise of the most recent observation (paper, tracking covariance).
-        Return the number of Gaussians seen.
+        Sigma_t is then the noise of the most recent observation (paper, tracking covariance), of
+        this keyframe. Return the number of Gaussians seen.
         """
         seen = self._compared(T_world_cam, depth_m, camera, sensor) == _AGREES
         self.viewpoints[seen] = T_world_cam[:3, 3]
+        self._observers[: self._used][seen] = keyframe
         return int(np.count_nonzero(seen))
 
     def agreement(
@@ -279,3 +303,20 @@ def _compare(means, T, depth, camera, noise_a, noise_b, verdicts):
                 verdicts[j] = _AGREES
             elif measured > z:
                 verdicts[j] = _LOOKED_THROUGH
+
+
+@kernel
+def _move(means, normals, viewpoints, hosts, observers, motions):
+    """Move `means`, `normals` and `viewpoints` (M, 3) in place.
+
+    `hosts` and `observers` (M,) are rows of `motions` (K, 4, 4), of means and of viewpoints.
+    """
+    for j in range(means.shape[0]):
+        T, V = motions[hosts[j]], motions[observers[j]]
+        x, y, z = means[j, 0], means[j, 1], means[j, 2]
+        a, b, c = normals[j, 0], normals[j, 1], normals[j, 2]
+        u, v, w = viewpoints[j, 0], viewpoints[j, 1], viewpoints[j, 2]
+        for k in range(3):
+            means[j, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
+            normals[j, k] = T[k, 0] * a + T[k, 1] * b + T[k, 2] * c
+            viewpoints[j, k] = V[k, 0] * u + V[k, 1] * v + V[k, 2] * w + V[k, 3]

@@ -36,6 +36,10 @@ class KeyframePolicy:
         self._T_world_cam, self._stamp_ns = T_world_cam, stamp_ns
         self._landmarks, self._overlap = landmarks, 0.0
 
+    def move(self, motion: NDArray[np.float64]) -> None:
+        """Move the last keyframe by `motion` (4, 4), in the world."""
+        self._T_world_cam = motion @ self._T_world_cam
+
     def wants(
         self,
         T_world_cam: NDArray[np.float64],  # (4, 4)

@@ -61,6 +61,21 @@ class Landmarks:
             self.patches.joined(other.patches),
         )
 
+    def moved(self, motions: NDArray[np.float64], T_camera: NDArray[np.float64]) -> Landmarks:
+        """Return the landmarks moved with their hosts by `motions` (K, 4, 4).
+
+        Those that were measured between keyframes go with the camera, by `T_camera` (4, 4).
+        """
+        t = self.targets
+        T = np.concatenate([motions, T_camera[None]])[t.hosts]  # of host -1 it is the last
+        points = np.einsum('nij,nj->ni', T[:, :3, :3], t.points) + T[:, :3, 3]
+        targets = replace(
+            t, points=points.astype(np.float32),
+            axes=np.einsum('nij,nj->ni', T[:, :3, :3], t.axes).astype(np.float32),
+        )  # fmt: skip
+        steps = np.einsum('nij,nkj->nki', T[:, :3, :3], self.patches.steps).astype(np.float32)
+        return replace(self, targets=targets, patches=replace(self.patches, steps=steps))
+
     def seen_from(self, T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the landmarks (L, 3) in the frame of a camera, metres."""
         return (self.targets.points - T_world_cam[:3, 3]) @ T_world_cam[:3, :3]

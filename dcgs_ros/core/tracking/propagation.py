@@ -123,6 +123,16 @@ class KeyframeChain:
         """Start anew with keyframes that are certain: the world is theirs."""
         self._covariances = np.zeros((keyframes, 6, 6))
 
+    def correct(self, covariances: NDArray[np.float64], motions: NDArray[np.float64]) -> None:
+        """Take those (K, 6, 6) of the first keyframes; later ones, moved, are as sure as the last.
+
+        `motions` (M, 4, 4), of all keyframes, is from where the world had each to where it is now.
+        """
+        known = len(covariances)
+        Ad = [se3.adjoint(motion) for motion in motions[known:]]
+        later = [A @ C @ A.T for A, C in zip(Ad, self._covariances[known:], strict=True)]
+        self._covariances = np.concatenate([covariances, np.reshape(later, (-1, 6, 6))])
+
     def add(self, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]) -> None:
         """Add a keyframe with the covariance (6, 6) of its pose in the world, camera frame."""
         Ad = se3.adjoint(T_world_cam)

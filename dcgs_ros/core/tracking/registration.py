@@ -97,6 +97,14 @@ class Registration:
         """Share of the cloud's points that have a match."""
         return self.inliers / max(len(self.depth.points), 1)
 
+    @property
+    def hosts(self) -> NDArray[np.int32]:
+        """(N,) keyframes of the Gaussians, or else of the landmarks, that were matched."""
+        hosts = self.depth.targets.hosts
+        if self.image is not None and not self.inliers:
+            hosts = self.image.targets.hosts
+        return hosts[hosts >= 0]
+
 
 def descend(
     T_world_cam: NDArray[np.float64], terms: Sequence[Factor], steps: int

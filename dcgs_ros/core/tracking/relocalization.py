@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..config.stages import Config
+from ..frame import RgbdFrame
 from .registration import DepthTerm, Registration, register
 from .verification import Usual
 
@@ -21,6 +23,14 @@ _OVERLAP, _AT_LEAST, _PATIENCE = 0.85, 0.7, 0.005
 _AGREEMENT = 0.87
 _REFINEMENTS = 4  # of the best fit
 _CHI2 = 2.0  # most of the usual median of depth's residuals
+
+
+class Recogniser(Protocol):
+    """Knows places by what they look like."""
+
+    def recognise(self, frame: RgbdFrame) -> list[tuple[int, NDArray[np.float64]]]:
+        """Return keyframes and T_keyframe_cam (4, 4) where a frame may be, the likeliest first."""
+        ...
 
 
 class Relocalizer:
@@ -38,6 +48,12 @@ class Relocalizer:
         self._next = 0
         self._usual = usual
         self._wanted = _OVERLAP
+
+    def move(
+        self, T_world_cam: NDArray[np.float64], visited: Sequence[NDArray[np.float64]]
+    ) -> None:
+        """Go on after the map was corrected, with these poses instead."""
+        self._last, self._visited = T_world_cam, list(visited[::-1])
 
     def best(
         self, depth: DepthTerm, config: Config, guesses: Sequence[NDArray[np.float64]] = ()

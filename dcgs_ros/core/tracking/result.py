@@ -24,6 +24,15 @@ class TrackingState(Enum):
 
 
 @dataclass(frozen=True)
+class Reference:
+    """Where a frame is relative to a keyframe, which stays true when the map is corrected."""
+
+    keyframe: int  # the newest one, or the frame itself
+    T_keyframe_cam: NDArray[np.float64]  # (4, 4)
+    submap: int
+
+
+@dataclass(frozen=True)
 class TrackResult:
     """One tracked frame."""
 
@@ -42,3 +51,4 @@ class TrackResult:
     keyframe: bool  # whether this frame is one
     keyframes: tuple[Keyframe, ...]  # finished with this frame: the first one with the second
     colour_depth_offset_ms: float
+    reference: Reference | None = None  # None: there is no keyframe yet

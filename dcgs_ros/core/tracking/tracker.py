@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from ..config.stages import Config
 from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
-from ..keyframe import Keyframe, MapUpdate
+from ..keyframe import Correction, Keyframe, MapUpdate
 from .corners import spread
 from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
@@ -26,19 +26,36 @@ from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
 from .observability import Observability, observability
-from .propagation import BiasVariance, KeyframeChain, MotionLimit
+from .propagation import BiasVariance, MotionLimit
 from .registration import DepthTerm, Registration
-from .relocalization import Relocalizer
-from .result import TrackingState, TrackResult
+from .relocalization import Recogniser, Relocalizer
+from .result import Reference, TrackingState, TrackResult
 from .uncertainty import PoseUncertainty, pose_uncertainty
 from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigmas, weigh
+from .visited import UNKNOWN, Visited, origin
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
 _AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move, or be noise
 _LEAST_VARIANCE = 1e-10  # of shared covariances' residuals: perfect depth leaves none
+_SEARCH_STEP_S = 0.2  # that a frame counts for at most in a search
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """How sure a pose is."""
+
+    covariance: NDArray[np.float64]  # (6, 6) in the map around the camera
+    in_world: NDArray[np.float64]  # (6, 6)
+    hosts: NDArray[np.int32]  # (N,) keyframes of what the frame matches
+    submap: int
+
+    @classmethod
+    def certain(cls) -> _Claim:
+        """Return that of the frame that begins a map: the world is its."""
+        return cls(np.zeros((6, 6)), np.zeros((6, 6)), np.empty(0, np.int32), 0)
 
 
 class Tracker:
@@ -66,13 +83,16 @@ class Tracker:
         self._offset = ColorDepthOffset(self._config.timing)
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self._config.keyframes)
-        self._visited: list[NDArray[np.float64]] = []  # poses (4, 4) of the keyframes
-        self._chain = KeyframeChain()  # and their covariances in the world
+        self._visited = Visited()  # the keyframes
+        self._host = 0  # the keyframe that the camera is placed relative to
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
         self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
+        self._search_ns = 0  # stamp of the last frame in which the camera was looked for
+        self._searched_s = 0.0  # by frames that found no place
+        self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
         self.threads = jit.set_threads(self._config.threads)
@@ -95,28 +115,29 @@ class Tracker:
         if self._relocalizer is None and self._memory.motion.is_gap(frame.stamp_ns):
             self._lose()
         if self._relocalizer is not None:
-            return self._relocalize(frame, self._relocalizer)
+            return self._search(frame, self._relocalizer)
         if self._first is not None:
             self._place_first(self._first, frame)
         found = estimate(frame, self._memory, self.gaussians, self.camera, self._config)
         guesses = [found.registered.T_world_cam]
         if not found.is_trusted(self._config):
-            return self._relocalize(frame, self._lose(), guesses)
+            return self._search(frame, self._lose(), guesses)
         uncertainty = self._uncertainty(found.registration)
         evidence = weigh(
             found, self._memory, self._usual, self._in_doubt(uncertainty), self.gaussians,
             self.camera, self._config,
         )  # fmt: skip
         if evidence.contradicts:
-            return self._relocalize(frame, self._lose(), guesses)
+            return self._search(frame, self._lose(), guesses)
         last = self._memory.last
         self._accept(found, evidence)
+        claim = self._claim(found, uncertainty)
         keyframe = not self._unconfirmed and not evidence.doubtful and self._is_keyframe(found)
         if keyframe:
-            self._held.append(self._extend_map(found.registered, last))
+            self._held.append(self._extend_map(found.registered, last, claim))
         elif found.fresh and self._runs_out_of_landmarks():
             self._anchor_landmarks(found.registered)
-        return self._result(found, uncertainty, keyframe)
+        return self._result(found, uncertainty, claim, keyframe)
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
         """Return the frame with its depth as the tracker believes it (`DepthBias`)."""
@@ -127,13 +148,18 @@ class Tracker:
         held, self._held = tuple(self._held), []
         return held
 
-    def resume(self, gaussians: GaussianMap, poses: Sequence[NDArray[np.float64]]) -> None:
+    def resume(
+        self,
+        gaussians: GaussianMap,
+        poses: Sequence[NDArray[np.float64]],
+        stamps_ns: Sequence[int],
+    ) -> None:
         """Go on in a map whose keyframes were at `poses` (4, 4), the last one the likeliest.
 
         Frames are lost until one fits the map near one of them.
         """
-        self.gaussians, self._visited, self._begun = gaussians, list(poses), True
-        self._chain.reset(len(poses))
+        self.gaussians, self._begun = gaussians, True
+        self._visited.reset(stamps_ns, poses)
         self._depth_bias.reset(poses)
         self._memory = self._forgotten(ConstantVelocity.at_rest(poses[-1]))
         self.interrupt()
@@ -146,6 +172,23 @@ class Tracker:
         """
         self.gaussians.remove(update.removed)
         self.gaussians.reshape(update.ids, update.normals, update.flatness)
+
+    def correct(self, correction: Correction) -> None:
+        """Move the map, and all that is placed in it, to better poses of its keyframes.
+
+        To be called between two frames.
+        """
+        motions = self._visited.correct(correction)
+        here = motions[self._host]
+        self.gaussians.move(motions)
+        self._depth_bias.move(self._visited.poses)
+        self._policy.move(here)
+        self._held = [keyframe.moved(here) for keyframe in self._held]
+        self._memory = self._memory.moved(motions, here)
+        if self._limit is not None:
+            self._limit = replace(self._limit, T_world_cam=here @ self._limit.T_world_cam)
+        if self._relocalizer is not None:
+            self._relocalizer.move(self.T_world_cam, self._visited.poses)
 
     def interrupt(self) -> None:
         """Forget what holds from frame to frame: stamps may start anew, the camera be elsewhere.
@@ -191,7 +234,8 @@ class Tracker:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
         self._first = None
         self._memory = self._forgotten(self._memory.motion)
-        self._relocalizer = Relocalizer(self.T_world_cam, self._visited, self._usual)
+        self._relocalizer = Relocalizer(self.T_world_cam, self._visited.poses, self._usual)
+        self._searched_s, self._search_ns = 0.0, self._memory.motion.stamp_ns
         return self._relocalizer
 
     def _check(self, frame: RgbdFrame) -> None:
@@ -226,6 +270,7 @@ class Tracker:
             frame.stamp_ns, self._T_world_first, np.eye(4),
             covariance, covariance, TrackingState.OK if begun else TrackingState.LOST, None,
             len(first.ids), 0, len(self.landmarks), begun, (), 1e3 * self._offset.seconds,
+            self._reference(self._T_world_first),
         )  # fmt: skip
 
     def _start_map(
@@ -237,15 +282,24 @@ class Tracker:
     ) -> Keyframe:
         """Start the map from one frame, of a camera that moves with `twist`."""
         self.gaussians = GaussianMap(2.0 * self._config.registration.radius_m)
-        self._visited.clear()
-        self._chain.reset(1)
+        self._visited.reset()
         self._depth_bias.reset(())
+        return self._start_submap(frame, grey, T_world_cam, twist, _Claim.certain())
+
+    def _start_submap(
+        self,
+        frame: RgbdFrame,
+        grey: NDArray[np.uint8],
+        T_world_cam: NDArray[np.float64],
+        twist: NDArray[np.float64],
+        claim: _Claim,
+    ) -> Keyframe:
         self._limit = MotionLimit.begun(np.zeros((6, 6)), T_world_cam, frame.stamp_ns)
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist, twist)
         self._memory = replace(self._memory, last=registered, image=registered)
-        return self._extend_map(registered, None)
+        return self._extend_map(registered, None, claim)
 
     def _place_first(self, first: RgbdFrame, second: RgbdFrame) -> None:
         """Start the map anew with the velocity that only the second frame tells.
@@ -266,6 +320,43 @@ class Tracker:
             grey = memory.last.grey
             self._held = [self._start_map(first, grey, self.T_world_cam, motion.twist)]
 
+    def _search(
+        self,
+        frame: RgbdFrame,
+        relocalizer: Relocalizer,
+        guesses: Sequence[NDArray[np.float64]] = (),
+    ) -> TrackResult:
+        """Look for the camera in the map; after a while in unknown surroundings begin a sub-map.
+
+        It is not joined to the others: where they are from each other is not known.
+        """
+        before_ns = self._search_ns
+        self._search_ns = frame.stamp_ns
+        result = self._relocalize(frame, relocalizer, guesses)
+        if result.state is not TrackingState.LOST:
+            return result
+        self._searched_s += min((frame.stamp_ns - before_ns) * 1e-9, _SEARCH_STEP_S)
+        limit_s = self._config.keyframes.new_submap_s
+        enough = result.points >= 2 * self._config.registration.min_pairs
+        if limit_s is None or self._searched_s < limit_s or not enough:
+            return result
+        return self._begin_submap(frame)
+
+    def _begin_submap(self, frame: RgbdFrame) -> TrackResult:
+        """Begin a sub-map where the camera was last, for want of a better place."""
+        submap = max(self._visited.submaps) + 1
+        T = self.T_world_cam.copy()
+        T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
+        self._relocalizer, self._usual = None, Usual()
+        claim = _Claim(np.zeros((6, 6)), UNKNOWN, np.empty(0, np.int32), submap)
+        keyframe = self._start_submap(frame, to_grey(frame.color), T, np.zeros(6), claim)
+        self._held.append(keyframe)
+        return TrackResult(
+            frame.stamp_ns, T, np.eye(4), claim.covariance, claim.in_world, TrackingState.OK, None,
+            len(keyframe.ids), 0, len(self.landmarks), True, self.flush(),
+            1e3 * self._offset.seconds, self._reference(T),
+        )  # fmt: skip
+
     def _relocalize(
         self,
         frame: RgbdFrame,
@@ -279,6 +370,9 @@ class Tracker:
         motion = self._memory.motion
         if not motion.is_gap(frame.stamp_ns):
             guesses = [*guesses, motion.predict(frame.stamp_ns)]
+        if self.recogniser is not None:
+            places = self.recogniser.recognise(frame)
+            guesses = [*guesses, *(self._visited.poses[k] @ T for k, T in places)]
         best = relocalizer.best(depth, config, guesses)
         T = best.T_world_cam
         grey = to_grey(frame.color)
@@ -295,6 +389,7 @@ class Tracker:
         if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
             return self._lost(frame, best)  # it cannot have got there
         self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
+        self._host = int(np.bincount(best.hosts).argmax())
         self._memory = replace(
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
             last=registered, image=registered, overlap=best.overlap,
@@ -302,7 +397,7 @@ class Tracker:
         self._limit = None
         self._anchor_landmarks(registered)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
-        return self._result(found, uncertainty, False)
+        return self._result(found, uncertainty, self._claim(found, uncertainty), False)
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""
@@ -310,7 +405,7 @@ class Tracker:
         return TrackResult(
             frame.stamp_ns, self.T_world_cam, np.eye(4), _LOST_COVARIANCE, _LOST_COVARIANCE,
             TrackingState.LOST, None, points, inliers, 0, False, self.flush(),
-            1e3 * self._offset.seconds,
+            1e3 * self._offset.seconds, self._reference(self.T_world_cam),
         )  # fmt: skip
 
     def _accept(self, found: Estimate, evidence: Evidence) -> None:
@@ -343,7 +438,9 @@ class Tracker:
             found.registration.overlap, len(self.landmarks),
         )  # fmt: skip
 
-    def _extend_map(self, registered: RegisteredFrame, last: RegisteredFrame | None) -> Keyframe:
+    def _extend_map(
+        self, registered: RegisteredFrame, last: RegisteredFrame | None, claim: _Claim
+    ) -> Keyframe:
         """Refresh Sigma_t of the Gaussians in view, spawn new ones, anchor new landmarks.
 
         Points spawn only where the `last` frame's depth, if there is one, confirms them.
@@ -356,17 +453,20 @@ class Tracker:
                 T_world_depth, frame.depth_m, self.camera, config.sensor
             )
             self._usual = self._usual.with_keyframe(agreement)
-        self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor)
+        odometry = self._visited.odometry(T, claim.submap, claim.covariance, claim.hosts)
+        keyframe = self._host = odometry.keyframe
+        self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor, keyframe)
         cloud = candidates(registered, last, self.camera, config)
         ids = spawn(
-            cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, self.keyframes,
+            cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, keyframe,
             self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
         )  # fmt: skip
-        self._anchor_landmarks(registered, self.keyframes)
+        self._anchor_landmarks(registered, keyframe)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
-        self._visited.append(T)
+        self._visited.add(frame.stamp_ns, T, claim.submap, claim.in_world)
         self._depth_bias.add_keyframe(T)
-        return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, *self.gaussians.of(ids))
+        means, normals = self.gaussians.of(ids)
+        return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry)
 
     def _runs_out_of_landmarks(self) -> bool:
         """Return whether they are few, or missing where there were some, since the detection."""
@@ -398,14 +498,13 @@ class Tracker:
         return pose_uncertainty(found, self.camera, variance)
 
     def _result(
-        self, found: Estimate, uncertainty: PoseUncertainty, keyframe: bool
+        self,
+        found: Estimate,
+        uncertainty: PoseUncertainty,
+        claim: _Claim,
+        keyframe: bool,
     ) -> TrackResult:
         registered, result = found.registered, found.registration
-        covariance = self._covariance(registered, uncertainty)
-        hosts = result.depth.targets.hosts
-        in_world = self._chain.in_world(registered.T_world_cam, covariance, hosts[hosts >= 0])
-        if keyframe:
-            self._chain.add(registered.T_world_cam, in_world)
         spectrum = observability(result.equations.H, uncertainty.information)
         assert self._limit is not None
         state = TrackingState.OK
@@ -415,9 +514,24 @@ class Tracker:
             state = TrackingState.DEGENERATE
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,
-            covariance, in_world, state, spectrum, len(result.depth.points), result.inliers,
-            len(self.landmarks), keyframe, self.flush(), 1e3 * self._offset.seconds,
+            claim.covariance, claim.in_world, state, spectrum, len(result.depth.points),
+            result.inliers, len(self.landmarks), keyframe, self.flush(),
+            1e3 * self._offset.seconds, self._reference(registered.T_world_cam),
         )  # fmt: skip
+
+    def _reference(self, T_world_cam: NDArray[np.float64]) -> Reference | None:
+        if not self._visited.poses:
+            return None
+        T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
+        return Reference(self._host, T_keyframe_cam, self._visited.submaps[self._host])
+
+    def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:
+        """Return how sure the pose is, in the map around the camera and in the world."""
+        covariance = self._covariance(found.registered, uncertainty)
+        hosts = found.registration.hosts
+        T = found.registered.T_world_cam
+        in_world = self._visited.in_world(T, covariance, hosts)
+        return _Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
 
     def _covariance(
         self, registered: RegisteredFrame, uncertainty: PoseUncertainty

@@ -73,7 +73,7 @@ class Resumable:
     epoch: int
     rows: NDArray[Any]  # (N,) MAP_GAUSSIAN of the tracker's Gaussians, all of this epoch
     poses: list[NDArray[np.float64]]  # T_world_cam (4, 4) of the keyframes
-    stamps_ns: frozenset[int]  # of the keyframes
+    stamps_ns: tuple[int, ...]  # of the keyframes
 
     @staticmethod
     def of(
@@ -88,7 +88,7 @@ class Resumable:
             return None
         epoch = int(epochs[measured].max())
         chosen = rows[measured & (epochs == epoch)]
-        return Resumable(epoch, chosen, poses, frozenset(stamps_ns))
+        return Resumable(epoch, chosen, poses, tuple(stamps_ns))
 
     def gaussians(self, config: Config) -> GaussianMap:
         """Build the tracker's map, with the keyframes' positions as viewpoints."""

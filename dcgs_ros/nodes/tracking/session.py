@@ -59,7 +59,7 @@ class TrackingSession:
     def resume(self, resumable: Resumable) -> None:
         """Go on in the map of another tracker; to be called before the first frame."""
         self._resumable = resumable
-        self._keyframe_stamps |= resumable.stamps_ns
+        self._keyframe_stamps.update(resumable.stamps_ns)
 
     def reset(self) -> None:
         """Begin a new map, at the place and with the camera of the next frame."""
@@ -145,7 +145,8 @@ class TrackingSession:
         self.tracker = Tracker(camera, self.config, T_world_first)
         if self._resumable is not None:
             self.epoch = self._resumable.epoch
-            self.tracker.resume(self._resumable.gaussians(self.config), self._resumable.poses)
+            found = self._resumable
+            self.tracker.resume(found.gaussians(self.config), found.poses, found.stamps_ns)
         self._selector = KeyframeSelector(self.config.mapping.view_interval)
         return self.tracker
 

@@ -335,7 +335,7 @@ def test_refresh_moves_the_viewpoint_of_what_is_seen_and_of_nothing_else(
     seen_ids = add(gaussians, seen, old)
     for means in unseen:
         add(gaussians, means, old)
-    assert gaussians.refresh(T, depth_m, camera, SENSOR) == len(seen)
+    assert gaussians.refresh(T, depth_m, camera, SENSOR, 0) == len(seen)
     expected = np.full((len(gaussians.means), 3), 9.0)
     expected[seen_ids] = T[:3, 3]
     np.testing.assert_allclose(gaussians.viewpoints, expected, atol=1e-6)
@@ -349,7 +349,7 @@ def test_refresh_tolerates_the_noise_but_no_more() -> None:
     for error, seen in ((2 * sigma, 1), (-2 * sigma, 1), (0.1, 0), (-0.1, 0)):
         gaussians = GaussianMap(CELL_M)
         add(gaussians, lifted(PINHOLE, pixels, z + error, T))
-        assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR) == seen
+        assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == seen
 
 
 @pytest.mark.parametrize('hole', [0.0, np.nan])
@@ -359,17 +359,17 @@ def test_refresh_sees_nothing_where_nothing_is_measured(hole: float) -> None:
     gaussians = GaussianMap(CELL_M)
     add(gaussians, lifted(PINHOLE, pixels, depth_m[pixels[:, 1], pixels[:, 0]], T))
     depth_m[100, 100] = hole
-    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR) == 1
+    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == 1
 
 
 def test_refresh_passes_over_free_slots_and_an_empty_map() -> None:
     T, depth_m = pose_and_view(PINHOLE)
     gaussians = GaussianMap(CELL_M)
-    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR) == 0
+    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == 0
     pixels = np.array([[100, 100], [200, 50]])
     ids = add(gaussians, lifted(PINHOLE, pixels, depth_m[pixels[:, 1], pixels[:, 0]], T))
     gaussians.remove(ids[:1])
-    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR) == 1
+    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == 1
 
 
 def test_refresh_is_the_same_with_any_threads() -> None:
@@ -382,6 +382,6 @@ def test_refresh_is_the_same_with_any_threads() -> None:
         jit.set_threads(threads)
         gaussians = GaussianMap(CELL_M)
         add(gaussians, means)
-        gaussians.refresh(T, depth_m, PINHOLE, SENSOR)
+        gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0)
         views.append(gaussians.viewpoints.copy())
     np.testing.assert_array_equal(views[0], views[1])

@@ -676,7 +676,7 @@ def test_a_tracker_goes_on_in_the_map_of_another(address: str) -> None:
     visited.append(visited[0] @ se3.exp(np.array([1.0, 0.5, 0.0, 0.0, 2.0, 0.0])))
     size = len(other.gaussians)
     tracker = tracker_for(source_of(address), T_world_first=se3.exp(np.ones(6)))
-    tracker.resume(other.gaussians, visited)
+    tracker.resume(other.gaussians, visited, range(len(visited)))
     assert tracker.searching and tracker.keyframes == len(visited)
     np.testing.assert_array_equal(tracker.T_world_cam, visited[-1])
     results = [tracker.track(of_another_clock(frame)) for frame in frames[6:]]
@@ -692,7 +692,7 @@ def test_a_place_the_map_does_not_show_is_never_taken_for_one_that_it_does() -> 
     other = tracker_for(source_of(IDEAL))
     visited = [other.track(frame).T_world_cam for frame in frames_of(IDEAL)[:3]]
     tracker = tracker_for(source_of(IDEAL))
-    tracker.resume(other.gaussians, visited)
+    tracker.resume(other.gaussians, visited, range(len(visited)))
     elsewhere = frames_of('synthetic:zigzag?frames=2&sensor=ideal')[1]
     for k in range(PATIENCE_FRAMES):
         stamp_ns = elsewhere.stamp_ns + k * 33_000_000

@@ -225,7 +225,7 @@ def test_a_tracker_gets_its_gaussians_back_with_their_ids() -> None:
     rows = tracked_rows()
     resumable = Resumable.of(np.concatenate([rows_of(range(-9, 0)), rows]), POSES, STAMPS)
     assert resumable is not None and resumable.epoch == 5
-    assert resumable.stamps_ns == {10, 20, 30}
+    assert resumable.stamps_ns == (10, 20, 30)
     gaussians = resumable.gaussians(Config())
     ids = (rows['id'] - 5 * EPOCH).astype(np.int64)
     assert len(gaussians) == len(rows) and gaussians.alive(ids).all()

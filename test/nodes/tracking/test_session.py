@@ -327,7 +327,7 @@ def resumable_of(feeder: Feeder, stamps_ns: Sequence[int] = ()) -> Resumable:
     for k in range(4):
         rows[f'rot_{k}'] = quats[:, k]
     visited = [packet.posed.T_world_cam for packet in feeder.packets]
-    found = Resumable.of(rows, visited, stamps_ns)
+    found = Resumable.of(rows, visited, stamps_ns or range(-len(visited), 0))
     assert found is not None
     return found
 

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where the tracker's keyframes are, in which sub-map, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..keyframe import Correction, Odometry
+from .propagation import KeyframeChain
+
+_APART_M = 1000.0  # between sub-maps: farther than any goes, and float32 still tells 0.1 mm
+_MOST_HOSTS = 6  # that a keyframe is said to be tracked relative to
+UNKNOWN = np.diag(np.repeat([1e6, 10.0], 3))  # where a sub-map is before it is joined
+
+
+def origin(submap: int) -> NDArray[np.float64]:
+    """Return the displacement (3,) of a sub-map, metres, until it is joined to another one.
+
+    All sub-maps are in one world, so far apart that nothing of one is taken for the other.
+    """
+    return np.array([_APART_M * submap, 0.0, 0.0])
+
+
+class Visited:
+    """Stamps, poses and sub-maps of the keyframes, by their index."""
+
+    def __init__(self) -> None:
+        """Start without keyframes."""
+        self.stamps_ns: list[int] = []
+        self.poses: list[NDArray[np.float64]] = []  # (4, 4) T_world_cam
+        self.submaps: list[int] = []
+        self._chain = KeyframeChain()
+
+    def __len__(self) -> int:
+        """Return the number of keyframes."""
+        return len(self.poses)
+
+    def reset(
+        self, stamps_ns: Sequence[int] = (), poses: Sequence[NDArray[np.float64]] = ()
+    ) -> None:
+        """Start anew with keyframes at certain poses (4, 4): the world is theirs."""
+        self.stamps_ns, self.poses = list(stamps_ns), list(poses)
+        self.submaps = [0] * len(self.poses)
+        self._chain.reset(len(self.poses))
+
+    def add(
+        self,
+        stamp_ns: int,
+        T_world_cam: NDArray[np.float64],
+        submap: int,
+        in_world: NDArray[np.floating],
+    ) -> None:
+        """Add a keyframe with the covariance (6, 6) of its pose in the world, camera frame."""
+        self.stamps_ns.append(stamp_ns)
+        self.poses.append(T_world_cam)
+        self.submaps.append(submap)
+        self._chain.add(T_world_cam, in_world)
+
+    def in_world(
+        self,
+        T_world_cam: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        hosts: NDArray[np.int32],
+    ) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) in the world, as `KeyframeChain.in_world`."""
+        return self._chain.in_world(T_world_cam, covariance, hosts)
+
+    def odometry(
+        self,
+        T_world_cam: NDArray[np.float64],
+        submap: int,
+        covariance: NDArray[np.float64],
+        hosts: NDArray[np.int32],
+    ) -> Odometry:
+        """Return the next keyframe relative to the `hosts` (N,) of what it matches."""
+        counts = np.bincount(hosts, minlength=len(self))
+        best = np.argsort(-counts, kind='stable')[:_MOST_HOSTS]
+        best = best[counts[best] > 0]
+        shares = counts[best] / max(counts[best].sum(), 1)
+        T_host_cam = np.array([se3.inverse(self.poses[k]) @ T_world_cam for k in best])
+        return Odometry(
+            len(self), submap, best.astype(np.int32), T_host_cam.reshape(-1, 4, 4), shares,
+            covariance,
+        )  # fmt: skip
+
+    def correct(self, correction: Correction) -> NDArray[np.float64]:
+        """Take corrected poses; return each keyframe's motion (K, 4, 4) in the world.
+
+        Keyframes that the correction does not know move with the last one of their sub-map that it
+        knows.
+        """
+        pairs = zip(correction.T_world_cam, self.poses, strict=False)
+        motions = [se3.orthonormalised(T @ se3.inverse(before)) for T, before in pairs]
+        newest = dict(zip(self.submaps, motions, strict=False))
+        motions += [newest.get(submap, np.eye(4)) for submap in self.submaps[len(motions) :]]
+        self.poses = [M @ T for M, T in zip(motions, self.poses, strict=True)]
+        joined = dict(zip(self.submaps, correction.submaps.tolist(), strict=False))
+        self.submaps = [joined.get(submap, submap) for submap in self.submaps]
+        self._chain.correct(correction.covariances, np.array(motions))
+        return np.array(motions)

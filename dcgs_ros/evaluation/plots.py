@@ -127,7 +127,7 @@ def _draw_view(
 
 def _mark_states(ax: Axes, flat: NDArray[np.float64], claims: Claims) -> None:
     """Draw a dot at each frame that is not `ok`, and a cross where the camera was lost."""
-    place = np.maximum(np.cumsum(claims.estimated) - 1, 0)  # of lost frames: of the last estimate
+    place = np.maximum(np.cumsum(claims.in_map) - 1, 0)  # of lost frames: of the last estimate
     for state, color in _STATE_COLORS.items():
         frames = [k for k, found in enumerate(claims.states) if found is state]
         if not frames:
@@ -161,7 +161,7 @@ def _colored_path(flat: NDArray[np.float64], claims: Claims, ate: AteResult) -> 
 def _draw_over_time(ax: Axes, claims: Claims, ate: AteResult | None) -> None:
     """Plot the error of each pose, what is claimed of it, and the states, over time."""
     stamps = claims.poses.stamps_ns
-    kept = claims.estimated
+    kept = claims.in_map
     band_cm = 100 * _SIGMAS * claims.world_sigmas_m[kept]
     top_cm = float(band_cm.max())
     if ate is not None:
@@ -217,5 +217,5 @@ def _broken(
 
 def _lost_between(claims: Claims, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return (N - 1,) whether the camera was lost between two of the stamps (N,)."""
-    lost_ns = claims.poses.stamps_ns[~claims.estimated]
+    lost_ns = claims.poses.stamps_ns[~claims.in_map]
     return np.diff(np.searchsorted(lost_ns, stamps_ns)) > 0

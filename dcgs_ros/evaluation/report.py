@@ -79,7 +79,10 @@ class RunRecord:
     mapping_s: float = 0.0  # time of the mapper alone
 
     def trajectory(self) -> Trajectory:
-        """Return the poses of all frames but lost ones, whose pose is no estimate."""
+        """Return the poses as they were known live, in the sub-map with the most frames.
+
+        Lost frames, whose pose is no estimate, are left out.
+        """
         return self.claims().trajectory()
 
     def claims(self) -> Claims:
@@ -93,9 +96,9 @@ class RunRecord:
         return np.array(sorted(stamps), dtype=np.int64)
 
     def keyframes(self) -> Trajectory:
-        """Return the poses of the keyframes as they were tracked."""
+        """Return the poses of the same sub-map's keyframes as they were tracked."""
         keyframes = [frame.result for frame in self.tracked if frame.result.keyframe]
-        return Claims.of(keyframes).poses
+        return Claims.of(keyframes).trajectory(self.claims().main_submap)
 
 
 _NO_TRUTH = 'there is no ground truth'
@@ -134,14 +137,15 @@ def assess_run(record: RunRecord, truth: Trajectory | None) -> Accuracy:
     accuracy, claims = assess(record.trajectory(), truth), record.claims()
     if truth is None:
         return accuracy
-    silent = silent_frames(claims.poses, claims.states, claims.sigmas_m, truth)
+    poses, states, submaps = claims.uncorrected, claims.states, claims.submaps
+    silent = silent_frames(poses, states, claims.sigmas_m, truth, submaps)
     accuracy = replace(
         accuracy,
         coverage=coverage(record.trajectory().stamps_ns, record.stamps_ns(), truth),
         silent=silent if silent.judged.any() else None,
     )
     try:
-        nees = motion_nees(claims.poses, claims.states, claims.covariances, truth)
+        nees = motion_nees(poses, states, claims.covariances, truth, submaps)
     except EvaluationError as error:
         return replace(accuracy, why_no_nees=str(error))
     return replace(accuracy, nees=nees)

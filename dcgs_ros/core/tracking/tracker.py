@@ -84,6 +84,8 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self._config.keyframes)
         self._visited = Visited()  # the keyframes
+        self._revision = 0  # of the last correction
+        self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
@@ -180,6 +182,8 @@ class Tracker:
         """
         motions = self._visited.correct(correction)
         here = motions[self._host]
+        self._revision = correction.revision
+        self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
         self._policy.move(here)
@@ -219,6 +223,16 @@ class Tracker:
     def keyframes(self) -> int:
         """How many keyframes the map has."""
         return len(self._visited)
+
+    @property
+    def keyframe_poses(self) -> NDArray[np.float64]:
+        """(K, 4, 4) T_world_cam of the keyframes, as corrected so far."""
+        return np.array(self._visited.poses).reshape(-1, 4, 4)
+
+    @property
+    def keyframe_submaps(self) -> NDArray[np.int32]:
+        """(K,) in which sub-map each keyframe is; those that were joined have one number."""
+        return np.array(self._visited.submaps, np.int32)
 
     @property
     def searching(self) -> bool:
@@ -523,7 +537,10 @@ class Tracker:
         if not self._visited.poses:
             return None
         T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
-        return Reference(self._host, T_keyframe_cam, self._visited.submaps[self._host])
+        return Reference(
+            self._host, T_keyframe_cam, self._visited.submaps[self._host], self._revision,
+            self._T_uncorrected_world,
+        )  # fmt: skip
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:
         """Return how sure the pose is, in the map around the camera and in the world."""

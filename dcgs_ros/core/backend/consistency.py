@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -29,10 +30,13 @@ _CONTRADICTION_CHI2 = 22.46  # one right pair of 1000 is beyond
 _TELLING_M, _TELLING_RAD = 0.1, 0.1
 _VIEW_M, _VIEW_RAD = 0.5, 0.35  # apart: views of which each tells something of its own
 _VIEWS = 2  # that tell the same, at least
-_VIEWS_WITHOUT_PRIOR = 4  # ... where the odometry does not say at all where the other place is
-_NO_PRIOR_M = 10.0  # standard deviation
+# The less the odometry says of where the other place is, the more views: one for every 25 cm of
+# its standard deviation, up to where it says nothing at all.
+_VIEW_FOR_EVERY_M, _MOST_VIEWS = 0.25, 8
+_MAJORITY = 2  # times as many views as tell anything else
 _PENDING = 64  # loops that wait for others, at most: the newest
-_REFUTED_M = 5.0  # an impossible loop this close to a view tells that the place is ambiguous
+_REMEMBERED = 64  # impossible loops: the newest
+_NEAR_M = 5.0  # from an impossible loop: the place may look like others in the same way
 
 
 class Loop(Protocol):
@@ -63,21 +67,23 @@ class Loop(Protocol):
 class Misfit:
     """How a cycle closes."""
 
-    chi2: float  # of 6 degrees of freedom
-    sigma_m: float  # largest standard deviation along any direction
-    sigma_rad: float
+    xi: NDArray[np.float64]  # (6,) the gap is exp(xi), m and rad
+    covariance: NDArray[np.float64]  # (6, 6) of xi; infinite where nothing is known
 
-    @classmethod
-    def of(cls, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> Misfit:
-        """Judge the gap T (4, 4) of a cycle with the covariance (6, 6) of xi in T exp(xi)."""
-        if not np.isfinite(covariance).all():
-            return cls(0.0, np.inf, np.inf)
-        xi = se3.log(T)
-        sigmas = [
-            float(np.sqrt(np.linalg.eigvalsh(block)[-1]))
-            for block in (covariance[:3, :3], covariance[3:, 3:])
-        ]
-        return cls(float(xi @ np.linalg.solve(covariance, xi)), *sigmas)
+    @cached_property
+    def chi2(self) -> float:
+        """Squared gap in standard deviations."""
+        return self.chi2_of(self.xi)
+
+    @cached_property
+    def sigma_m(self) -> float:
+        """Largest standard deviation of a translation."""
+        return _largest_sigma(self.covariance[:3, :3])
+
+    @cached_property
+    def sigma_rad(self) -> float:
+        """Largest standard deviation of a rotation."""
+        return _largest_sigma(self.covariance[3:, 3:])
 
     @property
     def tells(self) -> bool:
@@ -88,6 +94,12 @@ class Misfit:
     def contradicts(self) -> bool:
         """Whether it does not close."""
         return self.chi2 > _CONTRADICTION_CHI2
+
+    def chi2_of(self, xi: NDArray[np.float64]) -> float:
+        """Return the squared length of another gap (6,) in standard deviations."""
+        if not np.isfinite(self.covariance).all():
+            return 0.0
+        return float(xi @ np.linalg.solve(self.covariance, xi))
 
 
 @dataclass(frozen=True)
@@ -108,7 +120,8 @@ class Surroundings:
         """Return how a loop closes with the odometry, and the loops before, between its ends."""
         T_world_b = self.poses[loop.b]
         gap = se3.inverse(loop.T_a_b) @ se3.inverse(self.poses[loop.a]) @ T_world_b
-        return Misfit.of(gap, loop.covariance + _seen_from(T_world_b, self.from_a[loop.b]))
+        covariance = loop.covariance + _seen_from(T_world_b, self.from_a[loop.b])
+        return Misfit(se3.log(gap), covariance)
 
     def pair(self, loop: Loop, other: Loop) -> Misfit:
         """Return how `loop`, whose surroundings these are, agrees with another one.
@@ -124,7 +137,7 @@ class Surroundings:
             + _seen_from(T[other.b], self.from_b[other.b])
             + _moved(se3.inverse(Y), _seen_from(T[loop.a], self.from_a[other.a]))
         )
-        return Misfit.of(gap, covariance)
+        return Misfit(se3.log(gap), covariance)
 
 
 @dataclass
@@ -143,7 +156,7 @@ class Consistency:
     def __init__(self) -> None:
         """Start without loops."""
         self._pending: dict[int, _Pending] = {}
-        self._refuted: list[int] = []  # keyframes b of loops that were impossible
+        self._refuted: list[tuple[Loop, Misfit]] = []  # loops that were impossible
         self._next = 0
 
     def add(self, loop: Loop, poses: NDArray[np.float64], steps: Steps) -> None:
@@ -151,7 +164,7 @@ class Consistency:
         around = Surroundings.of(loop, poses, steps)
         prior = around.prior(loop)
         if prior.chi2 > _IMPOSSIBLE_CHI2:
-            self._refuted.append(loop.b)
+            self._refuted = [*self._refuted[1 - _REMEMBERED :], (loop, prior)]
             return
         new, serial = _Pending(loop, prior), self._next
         self._next += 1
@@ -179,43 +192,40 @@ class Consistency:
         return believed
 
     def _is_believed(self, family: set[int], poses: NDArray[np.float64]) -> bool:
-        """Return whether nothing else is possible, or enough views tell the same.
-
-        What the family contradicts, and impossible loops nearby, are evidence that the place looks
-        like others.
-        """
+        """Return whether nothing else is possible, or enough views tell the same."""
         members = [self._pending[serial] for serial in family]
-        if any(member.prior.tells and not member.prior.contradicts for member in members):
+        surest = min(members, key=lambda member: member.prior.sigma_m)
+        if surest.prior.tells and not surest.prior.contradicts:
             return True
         against = set().union(*(member.against for member in members)) & self._pending.keys()
-        others = _views([self._pending[serial].loop.b for serial in against], poses)
-        here = poses[[member.loop.b for member in members], :3, 3]
-        near = [
-            b for b in self._refuted
-            if np.linalg.norm(here - poses[b, :3, 3], axis=1).min() < _REFUTED_M
-        ]  # fmt: skip
-        others += _views(near, poses)
-        vague = min(member.prior.sigma_m for member in members) > _NO_PRIOR_M
-        wanted = max(_VIEWS_WITHOUT_PRIOR if vague else _VIEWS, 2 * others + 1 if others else 0)
+        others = [self._pending[serial].loop.b for serial in against]
+        others += [loop.b for loop, gap in self._refuted if _is_alias(surest, loop, gap, poses)]
+        wanted = min(_VIEWS + surest.prior.sigma_m / _VIEW_FOR_EVERY_M, _MOST_VIEWS)
+        wanted = max(wanted, _MAJORITY * _views(others, poses))
         ends = ([member.loop.a for member in members], [member.loop.b for member in members])
         return min(_views(end, poses) for end in ends) >= wanted
 
     def _families(self) -> list[set[int]]:
         """Return sets of loops that tell the same and do not contradict, the largest first.
 
-        The largest clique is hard to find in general. Here each loop in turn takes in those that
-        support it, the best supported first, as long as they do not contradict.
+        The largest clique is hard to find in general. Here each loop in turn begins a family.
         """
-        found: list[set[int]] = []
-        for serial, pending in self._pending.items():
-            family = {serial}
-            order = sorted(pending.support, key=lambda s: (-len(self._pending[s].support), s))
-            for other in order:
-                if not self._pending[other].against & family:
+        found = {frozenset(self._family(serial)) for serial in self._pending}
+        ordered = sorted(found, key=lambda family: (-len(family), sorted(family)))
+        return [set(family) for family in ordered]
+
+    def _family(self, serial: int) -> set[int]:
+        """Return a loop with all that support it, or each other, and contradict none of them."""
+        family, against = {serial}, set(self._pending[serial].against)
+        waiting = [serial]
+        while waiting:
+            support = self._pending[waiting.pop(0)].support - family - against
+            for other in sorted(support, key=lambda s: (-len(self._pending[s].support), s)):
+                if other not in against:
                     family.add(other)
-            found.append(family)
-        found.sort(key=lambda family: (-len(family), sorted(family)))
-        return found
+                    against |= self._pending[other].against
+                    waiting.append(other)
+        return family
 
     def _forget(self, serials: Iterable[int]) -> None:
         for serial in set(serials):
@@ -232,6 +242,29 @@ def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> int:
         if all(_are_apart(poses[k], poses[other]) for other in chosen):
             chosen.append(k)
     return len(chosen)
+
+
+def _is_alias(
+    pending: _Pending, loop: Loop, prior: Misfit, poses: NDArray[np.float64]
+) -> bool:
+    """Return whether an impossible loop tells that a believable one may be wrong in the same way.
+
+    The impossible one lies a period farther than the other, say. If that is wrong by the period as
+    well, the truth lies as far on its other side: whether it can is asked of the odometry.
+    """
+    T = se3.inverse(poses[pending.loop.b]) @ poses[loop.b]
+    if np.linalg.norm(T[:3, 3]) > _NEAR_M or not np.isfinite(prior.covariance).all():
+        return False
+    turned = np.concatenate([T[:3, :3] @ prior.xi[:3], T[:3, :3] @ prior.xi[3:]])
+    mirrored = 2.0 * pending.prior.xi - turned
+    return pending.prior.chi2_of(mirrored) <= _IMPOSSIBLE_CHI2
+
+
+def _largest_sigma(covariance: NDArray[np.float64]) -> float:
+    """Return the largest standard deviation along any direction of a covariance (3, 3)."""
+    if not np.isfinite(covariance).all():
+        return np.inf
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
 def _are_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..camera import PinholeCamera
+from ..config.stages import Config
 from ..keyframe import Correction, Keyframe
 from .consistency import Consistency, Loop
 from .keyframe_graph import BackEndError, KeyframeGraph
@@ -41,9 +43,9 @@ class LoopFinder(Protocol):
 class BackEnd:
     """Places, loops, consistency and pose graph."""
 
-    def __init__(self, finder: LoopFinder) -> None:
+    def __init__(self, camera: PinholeCamera, config: Config, finder: LoopFinder) -> None:
         """Start without keyframes."""
-        self._finder = finder
+        self._camera, self._config, self._finder = camera, config, finder
         self._graph = KeyframeGraph()
         self._consistency = Consistency()
         self._queue: queue.SimpleQueue[Keyframe] = queue.SimpleQueue()
@@ -71,10 +73,13 @@ class BackEnd:
         self._told, self._told_submaps = correction.T_world_cam, list(self._graph.submaps)
         return correction
 
-    def optimised(self) -> Correction:
-        """Return the best poses of all keyframes that `work` has taken in, with all loops."""
+    def adjusted(self) -> NDArray[np.float64]:
+        """Return the best poses (K, 4, 4) of the keyframes that `work` has taken in.
+
+        They agree best with odometry, loops, and what the keyframes see of the same corners.
+        """
         self._graph.optimise()
-        return self._graph.correction(self._revision + 1)
+        return self._graph.adjusted(self._camera, self._config)
 
     def restore(self, stamps_ns: Sequence[int], T_world_cam: NDArray[np.float64]) -> None:
         """Begin with the keyframes (K, 4, 4) of a map, which stay as they are to each other.
@@ -109,8 +114,8 @@ class BackEnd:
         if keyframe.odometry is None:
             raise BackEndError(f'keyframe {len(self._graph)} comes without its odometry')
         odometry = keyframe.odometry
-        self._graph.add(keyframe.frame.stamp_ns, keyframe.T_world_cam, odometry)
-        T = keyframe.T_world_cam  # begins a map
+        T, stamp_ns = keyframe.T_world_cam, keyframe.frame.stamp_ns
+        self._graph.add(stamp_ns, T, odometry, keyframe.sightings)
         if len(odometry.hosts):
             T = self._told[odometry.hosts[0]] @ odometry.T_host_cam[0]
         self._told = np.concatenate([self._told, [T]])

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..camera import PinholeCamera
+from ..config.stages import Config
 from ..errors import DcgsError
-from ..keyframe import Correction, Odometry
+from ..keyframe import Correction, Odometry, Sightings
 from ..tracking.visited import UNKNOWN
+from .adjustment import Tracks, adjust
 from .certainty import Steps, bounds, steps
 from .consistency import Loop
 from .edges import Edge, information_of, odometry_edges
@@ -41,12 +44,19 @@ class KeyframeGraph:
         self.rejected: list[Loop] = []  # once believed, then contradicted by the others
         self._odometry: list[Odometry] = []
         self._edges: list[list[Edge]] = []  # of each keyframe to its hosts
+        self._sightings: list[Sightings] = []
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
         return len(self.stamps_ns)
 
-    def add(self, stamp_ns: int, T_world_cam: NDArray[np.float64], odometry: Odometry) -> None:
+    def add(
+        self,
+        stamp_ns: int,
+        T_world_cam: NDArray[np.float64],
+        odometry: Odometry,
+        sightings: Sightings | None = None,
+    ) -> None:
         """Add the next keyframe.
 
         It is placed relative to its first host. `T_world_cam` (4, 4), where the tracker says that
@@ -65,6 +75,7 @@ class KeyframeGraph:
         self.submaps.append(submap)
         self._odometry.append(odometry)
         self._edges.append(odometry_edges(odometry))
+        self._sightings.append(sightings or Sightings.none())
 
     def restore(self, stamps_ns: Sequence[int], poses: NDArray[np.float64]) -> None:
         """Begin with keyframes of a map (K, 4, 4), which stay as they are to each other."""
@@ -89,16 +100,26 @@ class KeyframeGraph:
 
     def optimise(self) -> None:
         """Move the keyframes to where odometry and loops agree best; drop loops that do not."""
+        edges = self._all_edges()
+        solution = optimise(self.poses, edges, self._first_of_submaps().values())
+        self.poses = np.array([se3.orthonormalised(T) for T in solution.T_world_cam])
+        held = solution.weights[len(edges) - len(self.loops) :] >= _DOUBTFUL
+        self.rejected += [loop for loop, good in zip(self.loops, held, strict=True) if not good]
+        self.loops = [loop for loop, good in zip(self.loops, held, strict=True) if good]
+
+    def adjusted(self, camera: PinholeCamera, config: Config) -> NDArray[np.float64]:
+        """Return poses (K, 4, 4) that agree best with what the keyframes see, too."""
+        tracks = Tracks.of(self._sightings)
+        fixed = self._first_of_submaps().values()
+        return adjust(self.poses, tracks, self._all_edges(), fixed, camera, config)
+
+    def _all_edges(self) -> list[Edge]:
+        """Return odometry and then the loops."""
         edges = [edge for of_one in self._edges for edge in _thinned(of_one, len(self))]
-        loops = [
+        return edges + [
             Edge(loop.a, loop.b, loop.T_a_b, information_of(loop.covariance), loop=True)
             for loop in self.loops
         ]
-        solution = optimise(self.poses, edges + loops, self._first_of_submaps().values())
-        self.poses = np.array([se3.orthonormalised(T) for T in solution.T_world_cam])
-        held = solution.weights[len(edges) :] >= _DOUBTFUL
-        self.rejected += [loop for loop, good in zip(self.loops, held, strict=True) if not good]
-        self.loops = [loop for loop, good in zip(self.loops, held, strict=True) if good]
 
     def steps(self) -> Steps:
         """Return the covariances of all edges."""

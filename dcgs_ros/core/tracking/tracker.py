@@ -84,6 +84,7 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self._config.keyframes)
         self._visited = Visited()  # the keyframes
+        self._next_landmark = 0  # id
         self._revision = 0  # of the last correction
         self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
@@ -480,7 +481,13 @@ class Tracker:
         self._visited.add(frame.stamp_ns, T, claim.submap, claim.in_world)
         self._depth_bias.add_keyframe(T)
         means, normals = self.gaussians.of(ids)
-        return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry)
+        sightings = self.landmarks.sighted(
+            frame.depth_m, T, registered.T_cam_cam_at_depth, registered.twist, self.camera,
+            config.sensor,
+        )  # fmt: skip
+        return Keyframe(
+            frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry, sightings
+        )
 
     def _runs_out_of_landmarks(self) -> bool:
         """Return whether they are few, or missing where there were some, since the detection."""
@@ -501,6 +508,8 @@ class Tracker:
             registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
             self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
         )  # fmt: skip
+        new = replace(new, ids=self._next_landmark + np.arange(len(new)))
+        self._next_landmark += len(new)
         landmarks = self.landmarks.joined(new)
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
         self._memory = replace(self._memory, landmarks=landmarks, spread=there)

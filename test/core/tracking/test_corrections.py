@@ -217,7 +217,7 @@ def test_in_unknown_surroundings_a_sub_map_begins_after_a_while() -> None:
 
 def test_a_correction_joins_sub_maps() -> None:
     tracker = tracker_for(**{'keyframes.new_submap_s': 0.4})
-    here, there = _into_the_unknown(tracker)
+    _here, there = _into_the_unknown(tracker)
     submaps = tracker.keyframe_submaps
     back = np.eye(4)
     back[:3, 3] = -origin(1)

@@ -30,6 +30,7 @@ class Reference:
     keyframe: int  # the newest one, or the frame itself
     T_keyframe_cam: NDArray[np.float64]  # (4, 4)
     submap: int
+    stamp_ns: int  # of the keyframe
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,7 @@ class Tracker:
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._search_ns = 0  # stamp of the last frame in which the camera was looked for
         self._searched_s = 0.0  # by frames that found no place
+        self._revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
@@ -168,10 +169,12 @@ class Tracker:
         """Take over what the mapper made of the Gaussians: their shape, and which were removed.
 
         Means stay as they were measured. The mapper's are within a fraction of sigma_z of them,
-        and made the tracker slightly worse.
+        and made the tracker slightly worse. Normals from before the last correction are of a world
+        that is no more, and are ignored: newer ones follow.
         """
         self.gaussians.remove(update.removed)
-        self.gaussians.reshape(update.ids, update.normals, update.flatness)
+        if update.revision >= self._revision:
+            self.gaussians.reshape(update.ids, update.normals, update.flatness)
 
     def correct(self, correction: Correction) -> None:
         """Move the map, and all that is placed in it, to better poses of its keyframes.
@@ -179,6 +182,7 @@ class Tracker:
         To be called between two frames.
         """
         motions = self._visited.correct(correction)
+        self._revision = correction.revision
         here = motions[self._host]
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
@@ -214,6 +218,19 @@ class Tracker:
     def T_world_cam(self) -> NDArray[np.float64]:
         """(4, 4) last good pose."""
         return self._memory.motion.T_world_cam
+
+    @property
+    def visited(self) -> Visited:
+        """The keyframes; not to be changed."""
+        return self._visited
+
+    @property
+    def corrected_poses(self) -> Correction:
+        """The last correction as it was applied: of all keyframes, later ones too.
+
+        It is what the mapper should get, so that both have one world.
+        """
+        return self._visited.as_correction(self._revision)
 
     @property
     def keyframes(self) -> int:
@@ -523,7 +540,10 @@ class Tracker:
         if not self._visited.poses:
             return None
         T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
-        return Reference(self._host, T_keyframe_cam, self._visited.submaps[self._host])
+        return Reference(
+            self._host, T_keyframe_cam, self._visited.submaps[self._host],
+            self._visited.stamps_ns[self._host],
+        )  # fmt: skip
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:
         """Return how sure the pose is, in the map around the camera and in the world."""

@@ -312,6 +312,16 @@ _DISTANCES = (
 
 
 @dataclass(frozen=True)
+class BackendConfig(Stage):
+    """Places that are seen again, and what follows for the poses of the keyframes."""
+
+    loops: bool = described(
+        True,
+        "Recognise places and correct the keyframes' poses; without it is the paper's system.",
+    )
+
+
+@dataclass(frozen=True)
 class Config(Stage):
     """The settings of all stages."""
 
@@ -334,6 +344,7 @@ class Config(Stage):
     timing: TimingConfig = field(default_factory=TimingConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
 
     def scaled_to(self, width: int, height: int) -> Config:
         """Return the settings for images of this size, in pixels.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the tracker's keyframes are, by their names, and how a correction moves what hangs on them.
+"""Where the tracker's keyframes are, by their names, and what a correction moves with them.
 
 Frames come to the mapper late, in any order, and from before or after a correction. Each tells
 which keyframe it was placed relative to and where that was then, so that it can be put where the
@@ -59,10 +59,11 @@ class KeyframePoses:
         now = self._poses.setdefault(then.stamp_ns, then.T_world_cam)
         return _motions(then.T_world_cam[None], now[None])[0]
 
-    def correct(self, correction: Correction) -> Moves:
+    def correct(self, correction: Correction, others_stay: bool) -> Moves:
         """Take corrected poses; return how the keyframes that were known move.
 
-        Those that the correction does not name move with the latest named one before them.
+        Those that the correction does not name move with the latest named one before them, unless
+        they stay.
         """
         stamps = np.array(sorted(self._poses), np.int64)
         before = np.reshape([self._poses[stamp] for stamp in stamps.tolist()], (-1, 4, 4))
@@ -71,7 +72,9 @@ class KeyframePoses:
         after = np.reshape([self._poses[stamp] for stamp in stamps.tolist()], (-1, 4, 4))
         motions = np.concatenate([_motions(before, after), np.eye(4)[None]])
         named = np.isin(stamps, correction.stamps_ns)
-        rows = np.maximum.accumulate(np.where(named, np.arange(len(stamps)), -1))
+        rows = np.where(named, np.arange(len(stamps)), -1)
+        if not others_stay:
+            rows = np.maximum.accumulate(rows)
         motions[:-1] = motions[rows]
         for k in np.flatnonzero(~named & (rows >= 0)):
             self._poses[int(stamps[k])] = motions[k] @ before[k]

@@ -243,24 +243,27 @@ class Mapper:
             self._removed.append(table.ids[~keep & (table.ids >= 0)])
             table.keep(keep)
 
-    def correct(self, correction: Correction) -> None:
+    def correct(self, correction: Correction, others_stay: bool = False) -> int:
         """Move views and Gaussians with their keyframes; to be called between two steps.
 
-        The moved views are the next to be replayed, so that the map is optimised again where parts
-        of it have come together. A keyframe without Gaussians on the way is placed when it comes.
+        Returns how many views moved: none if the poses are those of now. They are replayed next,
+        so that the map is optimised again where parts of it have come together. Keyframes that the
+        correction does not name move with the latest named one before them, unless `others_stay`,
+        where they are in its world already.
         """
-        moves = self._keyframes.correct(correction)
+        moves = self._keyframes.correct(correction, others_stay)
         self.revision = correction.revision
         rows = [moves.row(view.reference_ns, view.stamp_ns) for view in self.views]
         moved = moves.moved[rows]
         if not moved.any():
-            return
+            return 0
         motions = moves.motions[rows]
         self.table.move(motions, moved)
         chosen = np.flatnonzero(moved).tolist()
         for k in chosen:
             self.views[k].move(motions[k])
         self._scheduler.begin_with(self.views, frozenset(chosen))
+        return len(chosen)
 
     def update(self) -> MapUpdate:
         """Return what changed of the tracker's Gaussians since the last call."""

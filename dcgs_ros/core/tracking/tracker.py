@@ -92,7 +92,7 @@ class Tracker:
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._search_ns = 0  # stamp of the last frame in which the camera was looked for
         self._searched_s = 0.0  # by frames that found no place
-        self._revision = 0  # of the last correction
+        self.revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
@@ -173,7 +173,7 @@ class Tracker:
         that is no more, and are ignored: newer ones follow.
         """
         self.gaussians.remove(update.removed)
-        if update.revision >= self._revision:
+        if update.revision >= self.revision:
             self.gaussians.reshape(update.ids, update.normals, update.flatness)
 
     def correct(self, correction: Correction) -> None:
@@ -182,7 +182,7 @@ class Tracker:
         To be called between two frames.
         """
         motions = self._visited.correct(correction)
-        self._revision = correction.revision
+        self.revision = correction.revision
         here = motions[self._host]
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
@@ -230,7 +230,7 @@ class Tracker:
 
         It is what the mapper should get, so that both have one world.
         """
-        return self._visited.as_correction(self._revision)
+        return self._visited.as_correction(self.revision)
 
     @property
     def keyframes(self) -> int:

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .backend.back_end import BackEnd
-from .backend.closure import Closures
 from .kernels.workers import give_way
 from .keyframe import Correction
 from .slam import MappingMode
@@ -68,10 +67,9 @@ class _Mode:
     """What both modes have in common."""
 
     def __init__(self, tracker: Tracker, mapping: MappingMode) -> None:
-        closures = Closures(tracker.camera, tracker.config)
-        self._back_end = BackEnd(tracker.camera, tracker.config, closures)
+        self._back_end = BackEnd(tracker.camera, tracker.config)
         self._tracker, self._mapping = tracker, mapping
-        tracker.recogniser = closures.places
+        tracker.recogniser = self._back_end.places
 
     @property
     def loops(self) -> list[tuple[int, int]]:
@@ -86,7 +84,7 @@ class _Mode:
     def _apply(self, correction: Correction | None) -> None:
         if correction is not None:
             self._tracker.correct(correction)
-            self._mapping.correct(correction)
+            self._mapping.correct(self._tracker.corrected_poses)
 
 
 class ClosingInLockstep(_Mode):

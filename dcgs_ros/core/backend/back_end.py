@@ -19,6 +19,8 @@ from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..keyframe import Correction, Keyframe
+from ..tracking.relocalization import Recogniser
+from .closure import Closures
 from .consistency import Consistency, Loop
 from .keyframe_graph import BackEndError, KeyframeGraph
 
@@ -30,6 +32,11 @@ _SEEN_M, _SEEN_RAD = 5e-3, 5e-3
 
 class LoopFinder(Protocol):
     """Recognises places and measures where keyframes are to each other."""
+
+    @property
+    def places(self) -> Recogniser:
+        """Recognises the places of the keyframes; may be called from any thread."""
+        ...
 
     def add(self, keyframe: Keyframe) -> None:
         """Keep what is needed of the next keyframe."""
@@ -43,9 +50,12 @@ class LoopFinder(Protocol):
 class BackEnd:
     """Places, loops, consistency and pose graph."""
 
-    def __init__(self, camera: PinholeCamera, config: Config, finder: LoopFinder) -> None:
-        """Start without keyframes."""
-        self._camera, self._config, self._finder = camera, config, finder
+    def __init__(
+        self, camera: PinholeCamera, config: Config, finder: LoopFinder | None = None
+    ) -> None:
+        """Start without keyframes; by default `Closures` find the loops."""
+        self._camera, self._config = camera, config
+        self._finder = finder or Closures(camera, config)
         self._graph = KeyframeGraph()
         self._consistency = Consistency()
         self._queue: queue.SimpleQueue[Keyframe] = queue.SimpleQueue()
@@ -89,6 +99,11 @@ class BackEnd:
         """
         self._graph.restore(stamps_ns, T_world_cam)
         self._told, self._told_submaps = self._graph.poses, list(self._graph.submaps)
+
+    @property
+    def places(self) -> Recogniser:
+        """Recognises the places of the keyframes; may be called from any thread."""
+        return self._finder.places
 
     @property
     def keyframes(self) -> int:

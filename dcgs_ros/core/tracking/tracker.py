@@ -85,7 +85,6 @@ class Tracker:
         self._policy = KeyframePolicy(self._config.keyframes)
         self._visited = Visited()  # the keyframes
         self._next_landmark = 0  # id
-        self._revision = 0  # of the last correction
         self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
@@ -95,6 +94,7 @@ class Tracker:
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._search_ns = 0  # stamp of the last frame in which the camera was looked for
         self._searched_s = 0.0  # by frames that found no place
+        self.revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
@@ -171,10 +171,12 @@ class Tracker:
         """Take over what the mapper made of the Gaussians: their shape, and which were removed.
 
         Means stay as they were measured. The mapper's are within a fraction of sigma_z of them,
-        and made the tracker slightly worse.
+        and made the tracker slightly worse. Normals from before the last correction are of a world
+        that is no more, and are ignored: newer ones follow.
         """
         self.gaussians.remove(update.removed)
-        self.gaussians.reshape(update.ids, update.normals, update.flatness)
+        if update.revision >= self.revision:
+            self.gaussians.reshape(update.ids, update.normals, update.flatness)
 
     def correct(self, correction: Correction) -> None:
         """Move the map, and all that is placed in it, to better poses of its keyframes.
@@ -182,8 +184,8 @@ class Tracker:
         To be called between two frames.
         """
         motions = self._visited.correct(correction)
+        self.revision = correction.revision
         here = motions[self._host]
-        self._revision = correction.revision
         self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
@@ -219,6 +221,19 @@ class Tracker:
     def T_world_cam(self) -> NDArray[np.float64]:
         """(4, 4) last good pose."""
         return self._memory.motion.T_world_cam
+
+    @property
+    def visited(self) -> Visited:
+        """The keyframes; not to be changed."""
+        return self._visited
+
+    @property
+    def corrected_poses(self) -> Correction:
+        """The last correction as it was applied: of all keyframes, later ones too.
+
+        It is what the mapper should get, so that both have one world.
+        """
+        return self._visited.as_correction(self.revision)
 
     @property
     def keyframes(self) -> int:
@@ -547,8 +562,8 @@ class Tracker:
             return None
         T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
         return Reference(
-            self._host, T_keyframe_cam, self._visited.submaps[self._host], self._revision,
-            self._T_uncorrected_world,
+            self._host, T_keyframe_cam, self._visited.submaps[self._host],
+            self._visited.stamps_ns[self._host], self.revision, self._T_uncorrected_world,
         )  # fmt: skip
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:

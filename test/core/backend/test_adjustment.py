@@ -161,7 +161,7 @@ def sighting(ids: Sequence[int], depths_m: Sequence[float]) -> Sightings:
 
 def test_tracks_are_of_corners_that_two_see_and_one_measures() -> None:
     tracks = Tracks.of([
-        sighting([7, 3, 9], [1.0, 2.0, 0.0]), sighting([9, 3], [0.0, 0.0]), sighting([3, 1], [2, 1])
+        sighting([7, 3, 9], [1.0, 2.0, 0.0]), sighting([9, 3], [0.0, 0.0]), sighting([3], [2])
     ])  # fmt: skip
     assert tracks.starts.tolist() == [0, 3] and tracks.keyframes.tolist() == [0, 1, 2]
     assert tracks.depths_m.tolist() == [2.0, 0.0, 2.0]

@@ -77,7 +77,7 @@ class BackEnd:
         return self._graph.correction(self._revision + 1)
 
     def restore(self, stamps_ns: Sequence[int], T_world_cam: NDArray[np.float64]) -> None:
-        """Begin with the keyframes (K, 4, 4) of a map, which stay as they are to each other.
+        """Begin with the keyframes (K, 4, 4) of a map, which stay where they are.
 
         The tracker's next keyframe is to have the index K. What recognises these keyframes is
         given to the finder of loops separately. Raises `BackEndError` if there are keyframes.

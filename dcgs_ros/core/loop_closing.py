@@ -79,7 +79,7 @@ class _Mode:
     def _last(self) -> NDArray[np.float64]:
         """Close the last loops, and return the best poses."""
         self._apply(self._back_end.work())
-        return self._back_end.adjusted()
+        return self._back_end.optimised().T_world_cam
 
     def _apply(self, correction: Correction | None) -> None:
         if correction is not None:

@@ -105,7 +105,9 @@ def adjust(
         poses, points, damping = trial, moved, max(damping / _LOOSER, _DAMPING)
         if before - cost <= _SETTLED * before:
             break
-    return np.array([se3.orthonormalised(T) for T in poses])
+    return np.array(
+        [T if k in fixed else se3.orthonormalised(T) for k, T in enumerate(poses)]
+    )  # those that are fixed to the last bit
 
 
 class _System:

@@ -83,16 +83,18 @@ class BackEnd:
         self._told, self._told_submaps = correction.T_world_cam, list(self._graph.submaps)
         return correction
 
-    def adjusted(self) -> NDArray[np.float64]:
-        """Return the best poses (K, 4, 4) of the keyframes that `work` has taken in.
+    def optimised(self) -> Correction:
+        """Return the best poses of all keyframes that `work` has taken in.
 
-        They agree best with odometry, loops, and what the keyframes see of the same corners.
+        They agree best with odometry, loops, and what the keyframes see of the same corners. They
+        are for the end of a run: each keyframe that moves would move the map a little.
         """
         self._graph.optimise()
-        return self._graph.adjusted(self._camera, self._config)
+        self._graph.adjust(self._camera, self._config)
+        return self._graph.correction(self._revision + 1)
 
     def restore(self, stamps_ns: Sequence[int], T_world_cam: NDArray[np.float64]) -> None:
-        """Begin with the keyframes (K, 4, 4) of a map, which stay as they are to each other.
+        """Begin with the keyframes (K, 4, 4) of a map, which stay where they are.
 
         The tracker's next keyframe is to have the index K. What recognises these keyframes is
         given to the finder of loops separately. Raises `BackEndError` if there are keyframes.

@@ -244,9 +244,7 @@ def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> int:
     return len(chosen)
 
 
-def _is_alias(
-    pending: _Pending, loop: Loop, prior: Misfit, poses: NDArray[np.float64]
-) -> bool:
+def _is_alias(pending: _Pending, loop: Loop, prior: Misfit, poses: NDArray[np.float64]) -> bool:
     """Return whether an impossible loop tells that a believable one may be wrong in the same way.
 
     The impossible one lies a period farther than the other, say. If that is wrong by the period as
@@ -278,7 +276,9 @@ def _moved(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[n
     return np.asarray(Ad @ covariance @ Ad.T)
 
 
-def _seen_from(T_world_k: NDArray[np.float64], in_world: NDArray[np.float64]) -> NDArray[np.float64]:
+def _seen_from(
+    T_world_k: NDArray[np.float64], in_world: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return a covariance (6, 6) of the world in the frame of a keyframe; it may be infinite."""
     if not np.isfinite(in_world).all():
         return in_world

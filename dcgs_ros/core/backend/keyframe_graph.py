@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ _DOUBTFUL = 0.1  # weight below which the others contradict a loop
 # Beyond so many keyframes each is held by its most matched hosts only: the factors of the
 # information matrix grow with the square of how many hold one.
 _MANY, _FEW_HOSTS = 500, 2
-_RIGID = 1e-6 * np.eye(6)  # 1 mm and 1 mrad between the keyframes of a map that was loaded
+_RIGID = 1e-10 * np.eye(6)  # 10 um and 10 urad between the keyframes of a map that was loaded
 
 
 class BackEndError(DcgsError):
@@ -42,6 +43,7 @@ class KeyframeGraph:
         self.submaps: list[int] = []  # those that were joined have one number
         self.loops: list[Loop] = []
         self.rejected: list[Loop] = []  # once believed, then contradicted by the others
+        self._restored = 0  # keyframes of a map that was loaded
         self._odometry: list[Odometry] = []
         self._edges: list[list[Edge]] = []  # of each keyframe to its hosts
         self._sightings: list[Sightings] = []
@@ -78,14 +80,17 @@ class KeyframeGraph:
         self._sightings.append(sightings or Sightings.none())
 
     def restore(self, stamps_ns: Sequence[int], poses: NDArray[np.float64]) -> None:
-        """Begin with keyframes of a map (K, 4, 4), which stay as they are to each other."""
+        """Begin with keyframes of a map (K, 4, 4), which are certain: the world is theirs."""
         if len(self):
             raise BackEndError(f'there are {len(self)} keyframes already')
         for k, (stamp_ns, T) in enumerate(zip(stamps_ns, poses, strict=True)):
-            before = range(max(k - 1, 0), k)
-            relative = np.array([se3.inverse(poses[h]) @ T for h in before]).reshape(-1, 4, 4)
-            hosts = np.array(before, np.int32)
-            self.add(int(stamp_ns), T, Odometry(k, 0, hosts, relative, np.ones(len(hosts)), _RIGID))
+            hosts = np.arange(max(k - 1, 0), k, dtype=np.int32)
+            relative = se3.inverse(poses[hosts]) @ T
+            self.add(
+                int(stamp_ns), T, Odometry(k, 0, hosts, relative, np.ones(len(hosts)), _RIGID)
+            )
+        self.poses = np.array(poses, np.float64)  # to the last bit
+        self._restored = len(self)
 
     def believe(self, loops: Sequence[Loop]) -> None:
         """Add loops; the younger of two sub-maps moves into the world of the older one."""
@@ -100,18 +105,18 @@ class KeyframeGraph:
 
     def optimise(self) -> None:
         """Move the keyframes to where odometry and loops agree best; drop loops that do not."""
-        edges = self._all_edges()
-        solution = optimise(self.poses, edges, self._first_of_submaps().values())
-        self.poses = np.array([se3.orthonormalised(T) for T in solution.T_world_cam])
+        edges, fixed = self._all_edges(), self._fixed()
+        solution = optimise(self.poses, edges, fixed)
+        for k in set(range(len(self))).difference(fixed):
+            self.poses[k] = se3.orthonormalised(solution.T_world_cam[k])
         held = solution.weights[len(edges) - len(self.loops) :] >= _DOUBTFUL
         self.rejected += [loop for loop, good in zip(self.loops, held, strict=True) if not good]
         self.loops = [loop for loop, good in zip(self.loops, held, strict=True) if good]
 
-    def adjusted(self, camera: PinholeCamera, config: Config) -> NDArray[np.float64]:
-        """Return poses (K, 4, 4) that agree best with what the keyframes see, too."""
+    def adjust(self, camera: PinholeCamera, config: Config) -> None:
+        """Move the keyframes to where they agree best with what they see, too."""
         tracks = Tracks.of(self._sightings)
-        fixed = self._first_of_submaps().values()
-        return adjust(self.poses, tracks, self._all_edges(), fixed, camera, config)
+        self.poses = adjust(self.poses, tracks, self._all_edges(), self._fixed(), camera, config)
 
     def _all_edges(self) -> list[Edge]:
         """Return odometry and then the loops."""
@@ -132,9 +137,9 @@ class KeyframeGraph:
         The first keyframe is certain: the world is its. Where other sub-maps are in it is unknown.
         """
         known = {}
-        for submap, k in self._first_of_submaps().items():
+        for k in self._fixed():
             Ad = se3.adjoint(self.poses[k])
-            known[k] = Ad @ UNKNOWN @ Ad.T if submap else np.zeros((6, 6))
+            known[k] = Ad @ UNKNOWN @ Ad.T if self.submaps[k] else np.zeros((6, 6))
         return Correction(
             revision, np.array(self.stamps_ns, np.int64), self.poses.copy(),
             bounds(self.steps(), known), np.array(self.submaps, np.int32),
@@ -145,12 +150,12 @@ class KeyframeGraph:
         T_a_b = se3.inverse(self.poses[loop.a]) @ self.poses[loop.b]
         return se3.log(se3.inverse(T_a_b) @ loop.T_a_b)
 
-    def _first_of_submaps(self) -> dict[int, int]:
-        """Return the first keyframe of each sub-map."""
+    def _fixed(self) -> list[int]:
+        """Return the first keyframe of each sub-map, and those of a map that was loaded."""
         first: dict[int, int] = {}
         for k, submap in enumerate(self.submaps):
             first.setdefault(submap, k)
-        return first
+        return sorted({*first.values(), *range(self._restored)})
 
     def _join(self, submap: int, older: int, motion: NDArray[np.float64]) -> None:
         """Move a sub-map as a whole by `motion` (4, 4), and make it part of an older one."""
@@ -167,3 +172,25 @@ def _thinned(edges: list[Edge], keyframes: int) -> list[Edge]:
     first = edges[:_FEW_HOSTS]
     scale = np.trace(whole) / np.trace(sum(edge.information for edge in first))
     return [Edge(e.a, e.b, e.T_a_b, scale * e.information, e.loop) for e in first]
+
+
+def warm_up() -> None:
+    """Optimise three keyframes with a wrong loop, so that every kernel has run."""
+    graph = KeyframeGraph()
+    for k in range(3):
+        hosts = np.arange(min(k, 1), dtype=np.int32)
+        T_host_cam, shares = np.tile(np.eye(4), (len(hosts), 1, 1)), np.ones(len(hosts))
+        graph.add(k, np.eye(4), Odometry(k, 0, hosts, T_host_cam, shares, 1e-6 * np.eye(6)))
+    graph.believe([_FarOff()])
+    graph.optimise()
+    graph.correction(1)
+
+
+@dataclass(frozen=True)
+class _FarOff:
+    """A loop that is contradicted."""
+
+    a: int = 1
+    b: int = 2
+    T_a_b: NDArray[np.float64] = field(default_factory=lambda: se3.exp(np.ones(6)))
+    covariance: NDArray[np.float64] = field(default_factory=lambda: 1e-6 * np.eye(6))

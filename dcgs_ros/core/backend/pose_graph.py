@@ -21,6 +21,8 @@ from . import linearisation
 from .edges import Edge, EdgeArrays
 
 LOOP_CHI2 = 22.46  # chi-square of 6 degrees of freedom, exceeded by one right loop of 1000
+_HOPELESS_CHI2 = 10.0 * LOOP_CHI2
+_ROUNDS = 3  # of leaving out what is hopeless, and beginning anew
 _TIGHTER = 4.0  # a step of the graduation
 _STEPS = 12  # of it at most
 _FIRST, _LAST = 8, 8  # iterations with the first and the last kernel at most
@@ -51,22 +53,37 @@ def optimise(
     if not edges or len(poses) == len(set(fixed)):
         return Solution(poses, np.ones(len(edges)))
     graph = _Graph(arrays, len(poses), fixed)
-    poses = graph.minimise(poses, np.inf, _FIRST)
-    worst = float(graph.chi2(poses)[arrays.loop].max(initial=0.0))
-    if worst <= LOOP_CHI2:  # nothing contradicts: no need for a kernel
+    for _ in range(_ROUNDS):
+        poses = _graduated(graph, poses)
+        hopeless = graph.used & arrays.loop & (graph.chi2(poses) > _HOPELESS_CHI2)
+        if not hopeless.any():
+            break
+        graph.used &= ~hopeless  # what they have pulled along may be right
+    chi2 = graph.chi2(poses)
+    if (chi2[arrays.loop] <= LOOP_CHI2).all():
         return Solution(poses, np.ones(len(edges)))
+    return Solution(poses, graph.kernel(chi2, LOOP_CHI2))
+
+
+def _graduated(graph: _Graph, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the optimum with the tight kernel, by way of wider ones."""
+    poses = graph.minimise(poses, np.inf, _FIRST)
+    loops = graph.edges.loop & graph.used
+    worst = float(graph.chi2(poses)[loops].max(initial=0.0))
+    if worst <= LOOP_CHI2:  # nothing contradicts: no need for a kernel
+        return poses
     steps = min(int(np.ceil(np.log(2.0 * worst / LOOP_CHI2) / np.log(_TIGHTER))), _STEPS)
     for k in range(steps, 0, -1):
         poses = graph.minimise(poses, LOOP_CHI2 * _TIGHTER**k, 1)
-    poses = graph.minimise(poses, LOOP_CHI2, _LAST)
-    return Solution(poses, graph.weights(graph.chi2(poses), LOOP_CHI2))
+    return graph.minimise(poses, LOOP_CHI2, _LAST)
 
 
 class _Graph:
-    """The structure of the normal equations, which stays as it is while poses and weights change."""
+    """The structure of the normal equations, which poses and weights do not change."""
 
     def __init__(self, edges: EdgeArrays, poses: int, fixed: Collection[int]) -> None:
         self.edges = edges
+        self.used = np.ones(len(edges.a), np.bool_)  # (E,) the others are left out
         free = np.ones(poses, np.bool_)
         free[list(fixed)] = False
         self.nodes = np.where(free, np.cumsum(free) - 1, -1)
@@ -89,7 +106,7 @@ class _Graph:
         damping = _LEAST_DAMPING
         errors, cost = self._evaluate(poses, scale)
         for _ in range(iterations):
-            weights = self.weights(self._chi2(errors), scale)
+            weights = self.used * self.kernel(self._chi2(errors), scale)
             blocks, gradient = self._equations(poses, errors, weights)
             moved, cost_before = poses, cost
             while damping <= _MOST_DAMPING:
@@ -113,7 +130,7 @@ class _Graph:
         """Return the squared residuals (E,) in standard deviations."""
         return self._chi2(self._errors(poses))
 
-    def weights(self, chi2: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    def kernel(self, chi2: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
         """Return the weights (E,) of edges with `chi2` (E,)."""
         if np.isinf(scale):
             return np.ones(len(chi2))
@@ -142,7 +159,7 @@ class _Graph:
         chi2 = self._chi2(errors)
         if not np.isinf(scale):
             chi2 = np.where(self.edges.loop, scale * chi2 / (scale + chi2), chi2)
-        return errors, float(chi2.sum())
+        return errors, float(chi2[self.used].sum())
 
     def _equations(
         self,

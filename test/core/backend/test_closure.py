@@ -62,7 +62,7 @@ def closures(address: str, visited: Sequence[int], linked: bool) -> Closures:
     return found
 
 
-@pytest.mark.parametrize('b', [14, 16])
+@pytest.mark.parametrize('b', [13, 14])
 def test_a_place_that_is_seen_again_is_a_loop(b: int) -> None:
     found = closures(ROOM, [0, 12, 30, b], linked=False)
     loops = found.close(3)

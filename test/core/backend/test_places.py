@@ -113,7 +113,12 @@ def test_one_thread_may_add_while_another_asks() -> None:
     rng = np.random.default_rng(4)
     places, all_bits = an_index(rng, 5)
     more = [anywhere(bits(rng, 300)) for _ in range(200)]
-    adding = threading.Thread(target=lambda: [places.add(1000 + k, f) for k, f in enumerate(more)])
+
+    def add_all() -> None:
+        for k, one in enumerate(more):
+            places.add(1000 + k, one)
+
+    adding = threading.Thread(target=add_all)
     adding.start()
     while adding.is_alive():
         assert places.candidates(anywhere(all_bits[2]), 1) == [20]
@@ -162,7 +167,7 @@ def test_what_agrees_by_chance_is_no_pose() -> None:
     assert align(a, b, SENSOR, FOCAL, seed=0) is None
     other = features(bits(np.random.default_rng(8), 120), b.points)
     assert len(match(a, other)[0]) < 5 and align(a, other, SENSOR, FOCAL, seed=0) is None
-    assert align(a, b[:1], SENSOR, FOCAL, seed=0) is None
+    assert align(a, b[np.arange(1)], SENSOR, FOCAL, seed=0) is None
 
 
 def test_two_corners_that_look_alike_match_nothing() -> None:

@@ -48,9 +48,7 @@ class Walk:
         offsets = poses[:, :3, 3] - self.truth[: len(poses), :3, 3]
         return float(np.sqrt(np.mean(np.sum(offsets**2, axis=1))))
 
-    def loop(
-        self, a: int, b: int, rng: np.random.Generator, shift_m: float = 0.0
-    ) -> Loop:
+    def loop(self, a: int, b: int, rng: np.random.Generator, shift_m: float = 0.0) -> Loop:
         """Return a loop; the place of a wrong one lies `shift_m` along the way of a."""
         there = self.truth[a].copy()
         there[:3, 3] += shift_m * there[:3, 2]
@@ -72,20 +70,26 @@ def drawn(rng: np.random.Generator, covariance: NDArray[np.float64]) -> NDArray[
 
 
 def round_block(
-    count: int, seed: int, size_m: tuple[float, float] = (17.7, 10.0), submap: int = 0
+    count: int,
+    seed: int,
+    size_m: tuple[float, float] = (17.7, 10.0),
+    drift: float = 1.0,
 ) -> Walk:
-    """Walk round a rectangle, looking ahead, with `count` keyframes."""
+    """Walk round a rectangle, looking ahead; with `drift` times the noise."""
+    covariance = drift**2 * ODOMETRY
     rng = np.random.default_rng(seed)
     truth = np.array([_at(k * STEP_M, size_m) for k in range(count)])
-    tracked, odometry = [truth[0]], [first(0, submap)]
+    tracked, odometry = [truth[0]], [first(0)]
     for k in range(1, count):
-        T = tracked[-1] @ se3.inverse(truth[k - 1]) @ truth[k] @ drawn(rng, ODOMETRY)
-        odometry.append(relative(k, T, np.array(tracked), submap))
+        hosts, shares = _hosts(k, 0)
+        host = int(rng.choice(hosts, p=shares))  # whose error it inherits
+        T = tracked[host] @ se3.inverse(truth[host]) @ truth[k] @ drawn(rng, covariance)
+        odometry.append(relative(k, T, np.array(tracked), covariance))
         tracked.append(T)
     return Walk(truth, np.array(tracked), odometry)
 
 
-def first(k: int, submap: int) -> Odometry:
+def first(k: int, submap: int = 0) -> Odometry:
     """Return that of a keyframe that begins a map."""
     return Odometry(
         k, submap, np.empty(0, np.int32), np.empty((0, 4, 4)), np.empty(0), np.zeros((6, 6))
@@ -93,13 +97,26 @@ def first(k: int, submap: int) -> Odometry:
 
 
 def relative(
-    k: int, T: NDArray[np.float64], before: NDArray[np.float64], submap: int = 0, begin: int = 0
+    k: int,
+    T: NDArray[np.float64],
+    before: NDArray[np.float64],
+    covariance: NDArray[np.float64] = ODOMETRY,
+    submap: int = 0,
+    begin: int = 0,
 ) -> Odometry:
-    """Return that of a keyframe at T (4, 4), of the last ones of `before` (k, 4, 4)."""
+    """Return that of a keyframe at T (4, 4) with the last ones of `before` (k, 4, 4) as hosts.
+
+    Hosts are not before `begin`.
+    """
+    hosts, shares = _hosts(k, begin)
+    T_host_cam = np.array([se3.inverse(before[h]) @ T for h in hosts])
+    return Odometry(k, submap, hosts.astype('i4'), T_host_cam, shares, covariance)
+
+
+def _hosts(k: int, begin: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     hosts = np.arange(k - 1, max(k - 1 - _HOSTS, begin - 1), -1)
     shares = np.linspace(2.0, 1.0, len(hosts))
-    T_host_cam = np.array([se3.inverse(before[h]) @ T for h in hosts])
-    return Odometry(k, submap, hosts.astype('i4'), T_host_cam, shares / shares.sum(), ODOMETRY)
+    return hosts, shares / shares.sum()
 
 
 def _at(way_m: float, size_m: tuple[float, float]) -> NDArray[np.float64]:

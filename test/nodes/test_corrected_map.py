@@ -41,7 +41,7 @@ FRAMES = 12
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal')
 CAMERA = PinholeCamera(
     SOURCE.camera.width // 2, SOURCE.camera.height // 2,
-    *(value / 2 for value in (SOURCE.camera.fx, SOURCE.camera.fy, 320.0, 240.0)),
+    SOURCE.camera.fx / 2, SOURCE.camera.fy / 2, SOURCE.camera.cx / 2, SOURCE.camera.cy / 2,
 )  # fmt: skip
 EAGER = {
     'keyframes.min_interval_s': 0.0, 'keyframes.translation_m': 1e-6,
@@ -186,10 +186,12 @@ def test_a_correction_moves_the_mappers_map_once_and_late_joiners_have_it_too(
     assert len(received) == 1 and not updates  # those have their rate
 
     # All Gaussians of moved keyframes are changed, and no other.
-    table = brain._session.mapper.table
+    views, table = brain._session.mapper.views, brain._session.mapper.table
+    first = views[0].stamp_ns  # which the correction leaves where it was
+    moved = np.array([view.reference_ns != first for view in views])[table.hosts]
     brain._outputs.update(brain._session.mapper)
     rows = read_cloud(updates[-1], MAP_GAUSSIAN)
-    assert set(rows['id'].tolist()) == set(table.ids[table.hosts > 0].tolist())
+    assert set(rows['id'].tolist()) == set(table.ids[moved].tolist()) != set(table.ids.tolist())
 
     robot.send(before[-1:], brain)  # which was on its way meanwhile
     assert_one_world(robot, brain)

@@ -78,6 +78,7 @@ class TrackerNode(Node):
         corrected = self._session.correct(correction, epoch)
         if corrected is not None:
             self._outputs.correct(corrected, epoch)
+            self._sender.correct(corrected.named)
 
     def _on_reset(self) -> Future[str]:
         done = self._camera.queue.submit(self._reset)

@@ -44,7 +44,7 @@ from dcgs_ros.nodes.transport import RELIABLE, sensor_qos
 
 HANGS_S = 60.0  # only a failure takes so long
 CAMERA = PinholeCamera(48, 36, 42.0, 42.0, 23.5, 17.5)
-TO_MAPPER = {f'keyframe/{name}' for name in TOPICS} | {'camera_pose'}
+TO_MAPPER = {f'keyframe/{name}' for name in TOPICS} | {'camera_pose', 'keyframe_poses'}
 CAMERA_TOPICS = {
     f'camera/camera/{name}'
     for name in ('color/image_raw', 'aligned_depth_to_color/image_raw', 'color/camera_info')
@@ -175,10 +175,12 @@ def result_at(
     )  # fmt: skip
 
 
-def test_odometry_claims_the_pose_in_the_world_and_the_velocity_in_the_map(make: Make) -> None:
+def test_the_pose_claims_what_the_map_adds_and_odometry_only_its_drift(make: Make) -> None:
     """What the map adds in the world is in both poses that a velocity is between."""
     outputs, sent = make(TrackerNode, '-p', 'node.tf:=none')._outputs, list[Any]()
     outputs._odometry = SimpleNamespace(publish=sent.append)
+    placed: list[Any] = []
+    outputs._with_covariance = SimpleNamespace(publish=placed.append)
     to_base = outputs.mounting.find('optical')
     ahead = np.eye(4)
     ahead[2, 3] = 0.1
@@ -187,6 +189,12 @@ def test_odometry_claims_the_pose_in_the_world_and_the_velocity_in_the_map(make:
     ):  # fmt: skip
         outputs.publish(result_at(stamp_ns, T, state), to_base)
     for message in sent:
+        assert message.header.frame_id == 'odom'
+    # In odom there is only the drift; a camera that was lost may be a metre farther.
+    drift_m2 = [message.pose.covariance[0] for message in sent]
+    np.testing.assert_allclose(drift_m2, [1e-4, 1e-4, 1.0 + 1e-4])
+    for message in placed:
+        assert message.header.frame_id == 'map'
         np.testing.assert_allclose(message.pose.covariance[0], 1e-2)
     assert sent[1].twist.twist.linear.x == pytest.approx(1.0)  # the camera looks along x
     assert sent[1].twist.covariance[0] == pytest.approx(2e-4 / 0.1**2)

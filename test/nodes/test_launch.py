@@ -102,7 +102,7 @@ def test_rviz_shows_map_way_pose_and_rendering(launch: Any) -> None:
         '/dcgs_tracker/odometry',
         '/dcgs_tracker/path',
     }
-    assert shown['Global Options']['Fixed Frame'] == TrackerSettings().node.odom_frame
+    assert shown['Global Options']['Fixed Frame'] == 'map'
 
 
 def test_a_namespace_holds_all_nodes_topics_and_tf(launch: Any) -> None:

@@ -27,6 +27,7 @@ from camera import (  # type: ignore[import-not-found]
     zoomed,
 )
 from camera import shot as shot_of
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -380,7 +381,10 @@ def fuzz_keyframes(robot: Robot, count: int) -> None:
         keyframe = Keyframe(frame, np.eye(4), np.eye(4), np.arange(40), means, means)
         messages = write_keyframe(KeyframePacket(1, CAMERA, keyframe, 'camera'), 'odom')
         name = rng.choice(list(messages))
-        if name.endswith('pose'):
+        if name == 'reference':
+            messages[name].poses = [PoseStamped()]
+            coordinate(messages[name].poses[0].pose, rng)
+        elif name.endswith('pose'):
             coordinate(messages[name].pose, rng)
         else:
             broken(messages[name], PARTS[name], rng)

@@ -18,16 +18,18 @@ class TrackerNodeSettings(Stage):
     """The tracker's node: frames, topics, memory and files."""
 
     odom_frame: str = described(
-        'odom', 'Frame that the poses are in; it is fixed where tracking began.'
+        'odom',
+        'Frame in which the base moves without steps; it drifts. It begins where the map has its '
+        'origin, which is in the frame map.',
     )
     base_frame: str = described(
         'camera_link', 'Frame of the robot, or of the camera itself, whose pose is published.'
     )
     tf: Literal['odom_to_base', 'map_to_odom', 'none'] = described(
         'odom_to_base',
-        'Transform to broadcast: odom_to_base (odom_frame to base_frame) if no other node does; '
-        'map_to_odom (map to odom_frame) if another node, such as wheel odometry, broadcasts '
-        'odom_frame to base_frame; none.',
+        'Transforms to broadcast: odom_to_base (odom_frame to base_frame, map to odom_frame) if '
+        'no other node does; map_to_odom (map to odom_frame only) if another node, such as wheel '
+        'odometry, broadcasts odom_frame to base_frame; none.',
     )
     base_to_camera: str = described(
         'auto',

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _HIDDEN_LOGIT = -100.0  # of the opacity
 _ONES = 3  # feature after the colour; gsplat appends the depth
 _NO_GAUSSIANS = np.zeros((len(PLANES), 0), np.float32)
+_FARTHEST_M = 1e10  # what gsplat takes for no limit
 _ONE_PIXEL = View(1, 1, 1.0, 1.0, 0.0, 0.0, np.eye(4))
 
 
@@ -66,6 +67,7 @@ class CudaRenderer:
             width=view.width,
             height=view.height,
             near_plane=NEAR_M,
+            far_plane=min(view.far_m, _FARTHEST_M),
             eps2d=BLUR_PX2,
             packed=False,
             render_mode='RGB+D',

@@ -35,8 +35,8 @@ from .simd import (
 
 _LOG2_E, _LN_2 = math.log2(math.e), math.log(2.0)
 # Positions of the numbers in `camera_numbers`.
-_R, _T, _FX, _FY, _CX, _CY, _LOW_X, _HIGH_X, _LOW_Y, _HIGH_Y, _W, _H = (
-    0, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21,
+_R, _T, _FX, _FY, _CX, _CY, _LOW_X, _HIGH_X, _LOW_Y, _HIGH_Y, _W, _H, _FAR = (
+    0, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22,
 )  # fmt: skip
 _HUGE = 1e30  # larger values count as infinite
 PROJECTED = 13  # vectors `project` writes: a row of `blending`, then 1 if the Gaussian is seen
@@ -44,9 +44,10 @@ GRADIENTS = len(PLANES) + 6  # vectors `chain` writes: by the parameters, and by
 
 
 def camera_numbers(view: View) -> NDArray[np.float32]:
-    """Return (22,): T_cam_world (rotation, translation in metres), intrinsics, limits, size.
+    """Return (23,): T_cam_world (rotation, translation in metres), intrinsics, limits, size, far.
 
-    Intrinsics and size in pixels, pixel centres at 1/2; limits of x/z and y/z for the Jacobian.
+    Intrinsics and size in pixels, pixel centres at 1/2; limits of x/z and y/z for the Jacobian;
+    the depth, metres, from which on nothing is drawn.
     """
     R = view.T_world_cam[:3, :3].T
     cx, cy = view.cx + 0.5, view.cy + 0.5
@@ -57,7 +58,8 @@ def camera_numbers(view: View) -> NDArray[np.float32]:
     )  # fmt: skip
     t = -R @ view.T_world_cam[:3, 3]
     intrinsics = (view.fx, view.fy, cx, cy, *limits, view.width, view.height)
-    return np.array([*R.ravel(), *t, *intrinsics], np.float32)
+    far_m = min(view.far_m, _HUGE)
+    return np.array([*R.ravel(), *t, *intrinsics, far_m], np.float32)
 
 
 @dataclass
@@ -148,7 +150,7 @@ def _rotation(q: list[Vector]) -> list[list[Vector]]:
 def project(typing, planes, count, first, camera, out):
     """Project the Gaussians first to first + 15 of planes (14, count); write `out`.
 
-    `planes` float32 as in `Splats`, `camera` (22,) float32 of `camera_numbers`, `out`
+    `planes` float32 as in `Splats`, `camera` (23,) float32 of `camera_numbers`, `out`
     (PROJECTED * LANES,) float32: the numbers of `blending`'s rows, LANES of each, then 1 or 0.
     """
     signature = types.void(planes, types.int64, types.int64, camera, out)
@@ -180,7 +182,8 @@ def _projected(builder: Any, g: _Geometry, camera: Any) -> list[Vector]:
     conic = [c * g.inverse_det * _LOG2_E for c in (yy, -xy, xx)]
     color = [c * SH_C0 + 0.5 for c in g.parameters[11:14]]
     seen = both(
-        g.p_cam[2] >= NEAR_M, above > 0.0, g.inverse_det > 0.0,
+        g.p_cam[2] >= NEAR_M, g.p_cam[2] < scalar_at(builder, camera, _FAR), above > 0.0,
+        g.inverse_det > 0.0,
         x + reach_x > 0.0, x - reach_x < scalar_at(builder, camera, _W),
         y + reach_y > 0.0, y - reach_y < scalar_at(builder, camera, _H),
         builder=builder,
@@ -195,7 +198,7 @@ def _projected(builder: Any, g: _Geometry, camera: Any) -> list[Vector]:
 def chain(typing, planes, count, first, camera, summed, active, out):
     """Turn gradient sums of the Gaussians first to first + 15 into derivatives; write `out`.
 
-    `planes` (14, count) and `camera` (22,) as in `project`; `summed` (SUMS * LANES,) float32, the
+    `planes` (14, count) and `camera` (23,) as in `project`; `summed` (SUMS * LANES,) float32, the
     sums of `blending`, LANES of each; `active` (LANES,) float32 is 0 for a Gaussian that was not
     seen, whose derivatives are 0; `out` (GRADIENTS * LANES,) float32.
     """

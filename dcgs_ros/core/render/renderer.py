@@ -6,13 +6,14 @@ A Gaussian's alpha at a pixel is min(o exp(-d' Sigma_2D^-1 d / 2), ALPHA_MAX), w
 covariance widened by BLUR_PX2 on its diagonal; below ALPHA_MIN it is 0. Gaussians are blended
 front to back by the depth of their means, equal ones in the order of the array. The first one that
 would bring a pixel's transmittance to T_MIN or less ends that pixel and is not blended itself.
-Gaussians nearer than NEAR_M are not drawn. The Jacobian of the projection is taken at the mean,
-clamped to within MARGIN of half the image's size beyond its border. (Kerbl et al. 2023, with the
-constants of gsplat.)
+Gaussians nearer than NEAR_M, and those farther than the view goes, are not drawn. The Jacobian of
+the projection is taken at the mean, clamped to within MARGIN of half the image's size beyond its
+border. (Kerbl et al. 2023, with the constants of gsplat.)
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,6 +28,7 @@ ALPHA_MAX = 0.999
 T_MIN = 1e-4
 BLUR_PX2 = 0.3
 NEAR_M = 0.05
+FAR_M = 500.0  # no depth camera sees so far, and sub-maps that are not joined are farther apart
 MARGIN = 0.3
 
 
@@ -45,6 +47,7 @@ class View:
     cx: float  # pixels; the centre of the first pixel is (0, 0), as in `PinholeCamera`
     cy: float
     T_world_cam: NDArray[np.float64]  # (4, 4)
+    far_m: float = math.inf  # Gaussians at that depth and beyond are not drawn
 
     def __post_init__(self) -> None:
         """Check that an image can be rendered."""
@@ -58,11 +61,14 @@ class View:
 
     @classmethod
     def of(cls, camera: PinholeCamera, T_world_cam: NDArray[np.floating], shrink: int = 1) -> View:
-        """Return `camera` without its distortion, with one pixel for each shrink x shrink."""
+        """Return `camera` without its distortion, with one pixel for each shrink x shrink.
+
+        It goes as far as FAR_M.
+        """
         return cls(
             camera.width // shrink, camera.height // shrink, camera.fx / shrink,
             camera.fy / shrink, (camera.cx + 0.5) / shrink - 0.5, (camera.cy + 0.5) / shrink - 0.5,
-            np.asarray(T_world_cam, np.float64),
+            np.asarray(T_world_cam, np.float64), FAR_M,
         )  # fmt: skip
 
 

@@ -4,7 +4,7 @@
 
 The first arguments of a phase are (piece, pieces); pieces may run in any order. Gaussians are
 split into ranges of whole groups of LANES; tile t belongs to piece t % pieces. Arrays: `planes`
-(14, N) float32 as in `Splats`; `camera` (22,) float32 of `camera_numbers`; `rows` (N, ROW) float32
+(14, N) float32 as in `Splats`; `camera` (23,) float32 of `camera_numbers`; `rows` (N, ROW) float32
 of `blending`; `tile_counts` (N,) int32 tiles that each Gaussian reaches; `first_slots` (N,) int64
 first row of each Gaussian in the gradient sums; `tile_starts` (T + 1,) and `tile_ends` (T,) int64
 range of each tile in the list of pairs; `pair_row`, `pair_slot` (P,) int32 Gaussian of each pair
@@ -109,7 +109,7 @@ def project_all(piece, pieces, planes, camera, tiles_x, tiles_y, rows, tile_coun
     """Project the piece's Gaussians and count their pairs with tiles.
 
     Writes `rows` (N, ROW), `tile_counts` (N,) and row `piece` of `histogram` (pieces, T) int64:
-    the piece's Gaussians in each tile. Reads `planes` (14, N) and `camera` (22,).
+    the piece's Gaussians in each tile. Reads `planes` (14, N) and `camera` (23,).
     """
     first, last = _range(piece, pieces, planes.shape[1])
     counts = histogram[piece]

@@ -39,13 +39,14 @@ ANY_CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5, (0.01, 0.0, 0.0
 def warm_up(camera: PinholeCamera, config: Config) -> None:
     """Track a few frames of a textured, slanted plane as `config` says, all of them keyframes.
 
-    Every kernel of `Tracker.track` has run afterwards with the types it will see, and the camera's
-    undistortion map is computed. Takes a fraction of a second once the kernels are in the cache on
-    disk, a minute or so where they have to be compiled.
+    Every kernel of `Tracker.track` and `Tracker.correct` has run afterwards with the types it will
+    see, and the camera's undistortion map is computed. Takes a fraction of a second once the
+    kernels are in the cache on disk, a minute or so where they have to be compiled.
     """
     tracker = Tracker(camera, override(config, EVERY_FRAME))
     for frame in frames(camera, config.sensor):
         tracker.track(frame)
+    tracker.correct(tracker.corrected_poses)
     warm_up_now_and_then(camera)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.context import Context
@@ -44,7 +45,7 @@ class Observer:
         namespace: str = '',
     ) -> None:
         """Subscribe; to the map only on request, since that takes time."""
-        self.poses: dict[int, NDArray[np.float64]] = {}  # T_odom_base (4, 4) by stamp
+        self.poses: dict[int, NDArray[np.float64]] = {}  # T_map_base (4, 4) by stamp
         self.came_s: dict[int, float] = {}  # monotonic
         self.sent_s: dict[int, float] = {}  # of camera_info
         self.came = self.sent = 0  # odometries and camera_infos, repetitions counted
@@ -60,6 +61,7 @@ class Observer:
         subscribe = self.node.create_subscription
         info = 'camera/camera/color/camera_info'
         subscribe(Odometry, 'dcgs_tracker/odometry', self._on_odometry, RELIABLE)
+        subscribe(PoseStamped, 'dcgs_tracker/pose', self._on_pose, RELIABLE)
         subscribe(CameraInfo, info, self._on_info, sensor_qos('best_effort'))
         subscribe(DiagnosticArray, '/diagnostics', self._on_status, RELIABLE)
         subscribe(PointCloud2, 'keyframe/received', self._on_keyframes, latched(1))
@@ -78,10 +80,11 @@ class Observer:
             pass
 
     def _on_odometry(self, message: Odometry) -> None:
-        stamp = stamp_ns(message.header.stamp)
         self.came += 1
-        self.came_s[stamp] = time.monotonic()
-        self.poses[stamp] = matrix(message.pose.pose)
+        self.came_s[stamp_ns(message.header.stamp)] = time.monotonic()
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self.poses[stamp_ns(message.header.stamp)] = matrix(message.pose)
 
     def _on_info(self, message: CameraInfo) -> None:
         self.sent += 1

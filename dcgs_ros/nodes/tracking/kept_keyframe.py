@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import se3
 from ...core.keyframe import Keyframe
 from ...io.ros_images import in_millimetres
 from ..messages.packet import KeyframePacket
@@ -51,12 +52,26 @@ class KeptKeyframe:
         return self.packet.posed
 
     @property
+    def submap(self) -> int:
+        """The sub-map that the keyframe was made in."""
+        odometry = self.keyframe.odometry
+        return 0 if odometry is None else odometry.submap
+
+    @property
     def bytes(self) -> int:
         """Approximate size in memory."""
         return self.color.nbytes + self.depth.nbytes + _GAUSSIAN_BYTES * len(self.keyframe.ids)
 
+    def move_to(self, T_world_cam: NDArray[np.float64]) -> None:
+        """Put the keyframe, and its Gaussians with it, to a corrected pose (4, 4)."""
+        motion = T_world_cam @ se3.inverse(self.keyframe.T_world_cam)
+        self.packet = replace(self.packet, posed=self.keyframe.moved(motion))
+
     def take_over(self, other: KeptKeyframe) -> None:
-        """Add the Gaussians of another keyframe, which is to be dropped."""
+        """Add the Gaussians of another keyframe, which is to be dropped; they move with this one.
+
+        Both must be of one sub-map and have taken the same corrections.
+        """
         ours, theirs = self.keyframe, other.keyframe
         keyframe = replace(
             ours, ids=np.concatenate([ours.ids, theirs.ids]),

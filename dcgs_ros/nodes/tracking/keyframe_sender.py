@@ -11,6 +11,7 @@ from collections.abc import Collection
 from typing import Protocol
 
 from ...core.kernels.workers import give_way
+from ...core.keyframe import Correction
 from ..messages.packet import KeyframePacket
 from .kept_keyframe import Alive, KeptKeyframe
 
@@ -51,7 +52,7 @@ class KeyframeSender:
         self._sent_s: dict[int, float] = {}  # monotonic time by stamp, of what is in flight
         self._received: frozenset[int] = frozenset()  # stamps that the mapper has
         self._epoch = 0  # of the current map; what waits of another one is not sent
-        self._queue: queue.SimpleQueue[KeyframePacket | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[KeyframePacket | Correction | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._closed = False
         self.sent = self.resent = self.left_out = 0
@@ -69,6 +70,10 @@ class KeyframeSender:
             self._queue.put(packet)
         else:
             self.left_out += 1
+
+    def correct(self, correction: Correction) -> None:
+        """Have what is kept moved to its corrected poses; return at once. Nothing is sent."""
+        self._queue.put(correction)
 
     def acknowledge(self, stamps_ns: Collection[int]) -> None:
         """Take the list of all stamps that the mapper has."""
@@ -119,6 +124,9 @@ class KeyframeSender:
             packet = self._queue.get(timeout=_TICK_S)
         except queue.Empty:
             return
+        if isinstance(packet, Correction):
+            self._move_kept(packet)
+            return
         if packet is None or packet.epoch != self._epoch:
             return
         try:
@@ -130,6 +138,14 @@ class KeyframeSender:
         finally:
             if packet.carries_gaussians:
                 self._keep(packet)
+
+    def _move_kept(self, correction: Correction) -> None:
+        """Put all that is kept into one world: thinning joins Gaussians of several keyframes."""
+        with self._lock:
+            kept = dict(self._kept)
+        for stamp, T in zip(correction.stamps_ns.tolist(), correction.T_world_cam, strict=True):
+            if stamp in kept:
+                kept[stamp].move_to(T)
 
     def _keep(self, packet: KeyframePacket) -> None:
         kept = KeptKeyframe.of(packet)
@@ -179,15 +195,6 @@ class KeyframeSender:
 
     def _may_take_over(self, heir: int, dropped: int) -> bool:
         """Return whether the Gaussians of `dropped` reach the mapper, which may lack them."""
-        submaps = [_submap(self._kept[stamp]) for stamp in (heir, dropped)]
-        return (
-            heir not in self._sent_s
-            and submaps[0] == submaps[1]
-            and (dropped in self._received or heir not in self._received)
-        )
-
-
-def _submap(kept: KeptKeyframe) -> int:
-    """Return the sub-map: Gaussians move with their keyframe, so it must be of the same one."""
-    odometry = kept.keyframe.odometry
-    return 0 if odometry is None else odometry.submap
+        together = self._kept[heir].submap == self._kept[dropped].submap
+        reaches = dropped in self._received or heir not in self._received
+        return heir not in self._sent_s and together and reaches

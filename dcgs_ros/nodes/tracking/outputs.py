@@ -104,15 +104,15 @@ class TrackerOutputs:
 
         Where another node's odometry is odom, ours is published in the map.
         """
-        frame, T_cam = self._settings.odom_frame, in_odom.T_odom_cam
-        covariance: NDArray[np.floating] = in_odom.covariance
+        frame, T_base = self._settings.odom_frame, to_base.pose(in_odom.T_odom_cam)
+        covariance = to_base.covariance(in_odom.covariance, T_base)
         if self._settings.tf == 'map_to_odom':
-            frame, T_cam, covariance = self.world, result.T_world_cam, result.covariance_world
-        T_base = to_base.pose(T_cam)
+            frame, T_base = self.world, to_base.pose(result.T_world_cam)
+            covariance = to_base.covariance(result.covariance_world, T_base)
         twist, twist_covariance = to_base.twist(*self._camera_twist(result))
         message = odometry_message(
-            header(result.stamp_ns, frame), self._settings.base_frame, T_base,
-            to_base.covariance(covariance, T_base), twist, twist_covariance,
+            header(result.stamp_ns, frame), self._settings.base_frame, T_base, covariance, twist,
+            twist_covariance,
         )  # fmt: skip
         self._odometry.publish(message)
 
@@ -128,7 +128,9 @@ class TrackerOutputs:
             self._last = replace(self._last, T_world_cam=T_world_cam)
         for pose in self._path_poses:
             if pose.keyframe >= 0:
-                pose.T_map_base = corrected.motions[pose.keyframe] @ pose.T_map_base
+                pose.T_map_base = se3.orthonormalised(
+                    corrected.motions[pose.keyframe] @ pose.T_map_base
+                )
         if len(corrected.named.stamps_ns):
             self._keyframe_poses.publish(write_correction(corrected.named, epoch, self.world))
 

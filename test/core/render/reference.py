@@ -79,7 +79,7 @@ def project(gaussians: Gaussians, view: View, T_cam_world: Tensor) -> Projected:
     R, t = T_cam_world[:3, :3], T_cam_world[:3, 3]
     z = (gaussians.means @ R.T + t)[:, 2].detach()
     order = torch.argsort(z, stable=True)
-    kept = order[z[order] >= NEAR_M]
+    kept = order[(z[order] >= NEAR_M) & (z[order] < view.far_m)]
     means, scales, quats, opacities, features = (tensor[kept] for tensor in gaussians)
     x, y, z = (means @ R.T + t).T
     focal, center = t.new_tensor([view.fx, view.fy]), t.new_tensor([view.cx, view.cy])

@@ -42,6 +42,7 @@ def rasterization(
     width: int,
     height: int,
     near_plane: float,
+    far_plane: float,
     eps2d: float,
     packed: bool,
     render_mode: str,
@@ -50,7 +51,7 @@ def rasterization(
     assert (near_plane, eps2d, packed, render_mode) == (NEAR_M, BLUR_PX2, False, 'RGB+D')
     assert len(means) > 0
     (fx, _, cx), (_, fy, cy), _ = Ks[0].tolist()
-    view = View(width, height, fx, fy, cx - 0.5, cy - 0.5, np.eye(4))
+    view = View(width, height, fx, fy, cx - 0.5, cy - 0.5, np.eye(4), far_plane)
     activated = (t.double() for t in (means, scales, quats, opacities, colors))
     image, through = blend(project(Gaussians(*activated), view, viewmats[0].double()), view, None)
     features = image.permute(1, 2, 0)[None].float()

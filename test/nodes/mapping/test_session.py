@@ -21,7 +21,7 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe import Keyframe, PosedFrame
+from dcgs_ros.core.keyframe import Correction, Keyframe, KeyframePose, PosedFrame
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.io.ply import read_ply
@@ -429,3 +429,85 @@ def test_the_map_is_that_of_the_wall(session: MappingSession) -> None:
     assert shown is not None
     difference = shown.color - np.moveaxis(seen.frame.color, -1, 0) / 255.0
     assert -10 * np.log10(np.mean(difference**2)) > 25.0
+
+
+ASIDE = se3.exp(np.array([0.3, 0.1, 0.0, 0.0, 0.0, 0.2]))
+
+
+def corrected(*packets: KeyframePacket, revision: int = 1) -> Correction:
+    """Move all keyframes but the first."""
+    stamps = np.array([packet.stamp_ns for packet in packets], np.int64)
+    poses = np.array([packet.posed.T_world_cam for packet in packets])
+    poses[1:] = ASIDE @ poses[1:]
+    n = len(packets)
+    return Correction(revision, stamps, poses, np.zeros((n, 6, 6)), np.zeros(n, np.int32))
+
+
+def poses_of(session: MappingSession) -> dict[int, Any]:
+    assert session.mapper is not None
+    return {view.stamp_ns: view.T_tracked for view in session.mapper.views}
+
+
+@pytest.mark.parametrize('first', ['keyframes', 'correction', 'half'])
+def test_a_correction_holds_whenever_it_comes(session: MappingSession, first: str) -> None:
+    """For keyframes from before it that come after it, for late joiners and after a reset."""
+    packets = [packet_of(k, FIRST) for k in range(3)]
+    correction = corrected(*packets)
+    known = {'keyframes': 3, 'half': 2, 'correction': 0}[first]
+    for packet in packets[:known]:
+        session.insert(packet)
+    assert session.correct(correction, FIRST) == (known > 0)
+    for packet in packets[known:]:
+        session.insert(packet)
+    view = packet_of(3, 0)
+    reference = KeyframePose(packets[2].stamp_ns, packets[2].posed.T_world_cam)
+    session.insert(changed(view, reference=reference))  # tracked before the correction
+    expected = dict(zip(correction.stamps_ns.tolist(), correction.T_world_cam, strict=True))
+    expected[view.stamp_ns] = ASIDE @ view.posed.T_world_cam
+    for again in range(2):
+        for stamp, T in poses_of(session).items():
+            np.testing.assert_allclose(T, expected[stamp], atol=1e-9)
+        session.reset()
+        if again == 0:
+            for packet in packets:
+                session.insert(packet)
+
+
+def test_a_correction_counts_once_and_wakes_a_map_that_rests(session: MappingSession) -> None:
+    packets = [packet_of(k, FIRST) for k in range(2)]
+    for packet in packets:
+        session.insert(packet)
+    while session.advance():
+        pass
+    assert session.correct(corrected(*packets), FIRST)
+    steps = 0
+    while session.advance():
+        steps += 1
+    assert steps == RESTING_STEPS
+    before = state(session)
+    assert not session.correct(corrected(*packets, revision=2), FIRST)
+    assert state(session) == before and not session.advance()
+    assert session.figures()['revision'] == 2
+
+
+def test_a_keyframe_that_overtook_a_correction_stays(session: MappingSession) -> None:
+    """Made after it, it is in its world already, and the correction does not name it."""
+    packets = [packet_of(k, FIRST) for k in range(2)]
+    for packet in packets:
+        session.insert(packet)
+    early = packet_of(2, FIRST)
+    session.insert(early)
+    session.correct(corrected(*packets), FIRST)
+    np.testing.assert_allclose(
+        poses_of(session)[early.stamp_ns], early.posed.T_world_cam, atol=1e-12
+    )
+
+
+def test_the_poses_of_another_trackers_map_move_nothing(session: MappingSession) -> None:
+    packets = [packet_of(k, FIRST) for k in range(2)]
+    for packet in packets:
+        session.insert(packet)
+    before = state(session)
+    for k in range(40):
+        assert not session.correct(corrected(*packets), next_epoch(FIRST) + k)
+    assert state(session) == before and len(session._corrections) < 10

@@ -21,7 +21,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe import Keyframe, MapUpdate, PosedFrame
+from dcgs_ros.core.keyframe import Keyframe, KeyframePose, MapUpdate, PosedFrame
 from dcgs_ros.io.ros_images import stamp_ns
 from dcgs_ros.nodes.mapping.keyframe_subscriber import Joiner
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
@@ -114,6 +114,21 @@ def test_a_view_between_keyframes_is_one_without_gaussians() -> None:
     assert read_keyframe(sent(told)).epoch == told.epoch
 
 
+@pytest.mark.parametrize('gaussians', [True, False])
+def test_a_frame_tells_which_keyframe_it_goes_with_and_where_that_was(gaussians: bool) -> None:
+    packet, T = packet_of(indices=[3] if gaussians else []), se3.exp(np.arange(6.0))
+    posed = replace(packet.posed, reference=KeyframePose(STAMP - 7, T))
+    found = read_keyframe(sent(replace(packet, posed=posed))).posed.reference
+    assert found is not None and found.stamp_ns == STAMP - 7
+    np.testing.assert_allclose(found.T_world_cam, T, atol=POSE)
+    assert read_keyframe(sent(packet)).posed.reference is None
+
+
+def test_an_answer_tells_the_correction_it_came_after() -> None:
+    update = replace(update_of([1, 2], [], 5), revision=3)
+    assert read_answer(write_answer(update, STAMP, 'odom'))[1].revision == 3
+
+
 def test_all_parts_carry_one_stamp_and_the_frame_they_are_in() -> None:
     parts = sent(packet_of())
     assert parts.keys() == TOPICS.keys()
@@ -123,7 +138,7 @@ def test_all_parts_carry_one_stamp_and_the_frame_they_are_in() -> None:
         assert message.header.frame_id == ('optical' if seen else 'odom')
     joiner = Joiner(tuple(TOPICS))
     joined = [joiner.add(name, STAMP, parts[name]) for name in sorted(parts)]
-    assert joined[:-1] == [None] * 5 and joined[-1] is not None
+    assert joined[:-1] == [None] * 6 and joined[-1] is not None
     assert read_keyframe(joined[-1]).epoch == 5
 
 

@@ -19,9 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe import Keyframe, PosedFrame
+from dcgs_ros.core.keyframe import Correction, Keyframe, Odometry, PosedFrame
 from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.tracking import keyframe_sender as module
 from dcgs_ros.nodes.tracking.keyframe_sender import KeyframeSender
@@ -237,6 +238,53 @@ def test_what_the_mapper_has_is_thinned_too_and_comes_back_if_it_restarts() -> N
         settle(wire, sender, mapper, 29)
     assert mapper.ids == set(range(90))
     assert len(set(wire.stamps()[before:])) <= 4
+
+
+def in_submap(packet: KeyframePacket, submap: int) -> KeyframePacket:
+    odometry = Odometry(
+        packet.stamp_ns, submap, np.empty(0, np.int32), np.empty((0, 4, 4)), np.empty(0),
+        np.zeros((6, 6)),
+    )  # fmt: skip
+    return replace(packet, posed=replace(keyframe_of(packet), odometry=odometry))
+
+
+def test_gaussians_of_two_sub_maps_never_share_a_keyframe() -> None:
+    """They move with it when the sub-maps are joined."""
+    wire, mapper = Wire(up=False), Mapper()
+    with running(wire, NOTHING_MB) as sender:
+        for k in range(12):
+            sender.put(in_submap(packet_of(k, range(3 * k, 3 * k + 3)), int(k >= 5)))
+        wait_for(lambda: sender._queue.empty())
+        wire.up = True
+        settle(wire, sender, mapper, 11)
+    assert mapper.ids == set(range(36))
+    for packet in wire.sent:
+        assert len({id >= 15 for id in keyframe_of(packet).ids.tolist()}) == 1
+
+
+def test_what_is_kept_moves_with_a_correction_and_is_not_sent_for_it() -> None:
+    """Else thinning would join Gaussians of the old world to a keyframe of the new one."""
+    wire, mapper, T = Wire(), Mapper(), se3.exp(np.arange(6.0))
+    with running(wire, PLENTY_MB) as sender:
+        for k in range(2):
+            sender.put(packet_of(k, range(3 * k, 3 * k + 3)))
+        settle(wire, sender, mapper, 1)
+        before = len(wire.sent)
+        correction = Correction(
+            1, np.array([1, 7]), np.array([T, T]), np.zeros((2, 6, 6)), np.zeros(2, np.int32)
+        )
+        sender.correct(correction)
+        wait_for(lambda: sender._queue.empty())
+        time.sleep(0.05)
+        assert len(wire.sent) == before  # nothing that the mapper cannot move itself
+        mapper = Mapper()
+        sender.acknowledge([])
+        settle(wire, sender, mapper, 1)
+    still, moved = (keyframe_of(p) for p in sorted(wire.sent[-2:], key=lambda p: p.stamp_ns))
+    np.testing.assert_array_equal(still.T_world_cam, np.eye(4))
+    np.testing.assert_allclose(moved.T_world_cam, T, atol=1e-12)
+    expected = se3.transform(T, np.repeat(moved.ids[:, None], 3, axis=1).astype(float))
+    np.testing.assert_allclose(moved.means, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize('told', [[0], [1], [0, 1], []])

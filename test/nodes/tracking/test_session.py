@@ -22,7 +22,7 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
-from dcgs_ros.core.keyframe import Keyframe, MapUpdate
+from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
@@ -484,3 +484,111 @@ def test_whatever_comes_it_goes_on(events: list[str]) -> None:
         assert session.epoch == epochs[-1]
     assert len(set(epochs)) == len(epochs)
     feeder.assert_keyframes_are_whole()
+
+
+ASIDE = se3.exp(np.array([0.3, 0.1, 0.0, 0.0, 0.0, 0.2]))
+
+
+def corrected_all(feeder: Feeder, revision: int = 1) -> Correction:
+    """Correct the keyframes that a back end was given: all of them, by the same motion."""
+    keyframes = [p.posed for p in feeder.packets if isinstance(p.posed, Keyframe)]
+    stamps = np.array([keyframe.frame.stamp_ns for keyframe in keyframes], np.int64)
+    n = len(stamps)
+    T = ASIDE @ np.array([keyframe.T_world_cam for keyframe in keyframes])
+    return Correction(revision, stamps, T, np.zeros((n, 6, 6)), np.zeros(n, np.int32))
+
+
+def test_after_a_correction_tracking_goes_on_in_the_corrected_world() -> None:
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:6])
+    done = feeder.session.correct(corrected_all(feeder), feeder.session.epoch)
+    assert done is not None
+    np.testing.assert_allclose(done.here, ASIDE, atol=1e-9)
+    assert len(done.motions) > 3
+    np.testing.assert_allclose(done.motions, ASIDE[None].repeat(len(done.motions), 0), atol=1e-9)
+    assert feeder.session.figures()['revision'] == 1
+    results = feeder.feed(frames[6:])
+    assert_true(results, frames[6:], ASIDE @ T_BASE_CAM)
+
+
+def test_a_correction_of_another_map_is_none() -> None:
+    feeder = Feeder(EAGER)
+    feeder.feed(frames_of(HALF)[:4])
+    correction, epoch = corrected_all(feeder), feeder.session.epoch
+    feeder.session.reset()
+    assert feeder.session.correct(correction, epoch) is None
+
+
+def test_the_mapper_is_told_by_the_names_that_it_has_keyframes_under() -> None:
+    """Where a recording is played again those are others than the tracker's own stamps."""
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:4])
+    feeder.session.reset()
+    feeder.packets.clear()
+    feeder.feed(frames[:6])
+    views = [p for p in feeder.packets if not isinstance(p.posed, Keyframe)]
+    done = feeder.session.correct(corrected_all(feeder), feeder.session.epoch)
+    assert done is not None and not views
+    assert done.named.stamps_ns.tolist() == feeder.stamps
+    assert done.applied.stamps_ns.tolist() != feeder.stamps
+
+
+def test_a_view_refers_to_a_keyframe_that_the_mapper_has() -> None:
+    feeder = Feeder()  # a view every second frame, keyframes rarely
+    frames = frames_of(HALF)
+    feeder.feed(frames[:4])
+    feeder.session.reset()
+    feeder.packets.clear()
+    feeder.feed(frames)
+    keyframes = {p.stamp_ns: p for p in feeder.packets if isinstance(p.posed, Keyframe)}
+    views = [p.posed for p in feeder.packets if not isinstance(p.posed, Keyframe)]
+    assert views
+    for view in views:
+        assert view.reference is not None
+        named = keyframes[view.reference.stamp_ns]
+        np.testing.assert_allclose(view.reference.T_world_cam, named.posed.T_world_cam, atol=1e-9)
+
+
+def test_normals_from_before_a_correction_are_not_taken() -> None:
+    feeder = Feeder(EAGER)
+    feeder.feed(frames_of(HALF)[:4])
+    session, tracker = feeder.session, feeder.session.tracker
+    assert tracker is not None
+    session.correct(corrected_all(feeder), session.epoch)
+    ids = tracker.gaussians.ids[:3].copy()
+    before = tracker.gaussians.of(ids)[1].copy()
+    turned = np.roll(before, 1, axis=1)
+    flat, gone = np.full(3, 0.5, np.float32), tracker.gaussians.ids[5:7].copy()
+    means = np.zeros((3, 3), np.float32)
+    session.apply(MapUpdate(ids, means, turned, flat, gone), session.epoch)
+    np.testing.assert_array_equal(tracker.gaussians.of(ids)[1], before)
+    assert not session.alive(gone).any()  # what was removed is gone in any world
+    session.apply(MapUpdate(ids, means, turned, flat, gone, 1), session.epoch)
+    assert np.abs(tracker.gaussians.of(ids)[1] - before).max() > 1e-3
+
+
+class Listening:
+    """A back end's place, where only what it is given counts."""
+
+    def __init__(self) -> None:
+        self.heard: list[str | int] = []
+
+    def begin(self, camera: PinholeCamera, config: Config, epoch: int) -> None:
+        self.heard.append('begin')
+
+    def leave(self) -> None:
+        self.heard.append('leave')
+
+    def add(self, keyframe: Keyframe) -> None:
+        assert keyframe.odometry is not None
+        self.heard.append(keyframe.odometry.keyframe)
+
+
+def test_the_back_end_gets_every_keyframe_of_each_map_in_order() -> None:
+    listening, frames = Listening(), frames_of(HALF)
+    feeder = Feeder(EAGER)
+    feeder.session._loops = listening
+    feeder.feed(frames[:4])
+    feeder.session.reset()
+    feeder.feed(frames[4:6])
+    assert listening.heard == ['begin', 0, 1, 2, 'begin', 0]

@@ -1,0 +1,256 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A correction goes from the tracker's back end to the mapper's map, over DDS."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip('rclpy')
+
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import PointCloud2
+
+from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.config.schema import override
+from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.keyframe import Correction, Keyframe
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.nodes import mapper, tracker
+from dcgs_ros.nodes.mapper import MapperNode
+from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN, read_cloud
+from dcgs_ros.nodes.messages.ids import first_epoch
+from dcgs_ros.nodes.messages.packet import KeyframePacket
+from dcgs_ros.nodes.tracker import TrackerNode
+from dcgs_ros.nodes.tracking import back_end
+from dcgs_ros.nodes.tracking.back_end_worker import BackEndWorker
+from dcgs_ros.nodes.tracking.keyframe_publisher import KeyframePublisher
+from dcgs_ros.nodes.transport import latched
+
+HANGS_S = 60.0  # only a failure takes so long
+FRAMES = 12
+SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal')
+CAMERA = PinholeCamera(
+    SOURCE.camera.width // 2, SOURCE.camera.height // 2,
+    SOURCE.camera.fx / 2, SOURCE.camera.fy / 2, SOURCE.camera.cx / 2, SOURCE.camera.cy / 2,
+)  # fmt: skip
+EAGER = {
+    'keyframes.min_interval_s': 0.0, 'keyframes.translation_m': 1e-6,
+    'mapping.view_interval': 1,
+}  # fmt: skip
+BEND = np.array([0.02, 0.01, 0.0, 0.0, 0.01, 0.0])  # a keyframe, of what the correction moves
+AT = 5  # keyframes that the back end corrects
+
+
+class Scripted:
+    """Corrects the first keyframes once it has them, and is let."""
+
+    def __init__(self, go: threading.Event) -> None:
+        self.go = go
+        self.places: Any = SimpleNamespace(recognise=lambda _: [])
+        self.loops: list[object] = []
+        self.keyframes: list[Keyframe] = []
+
+    def add(self, keyframe: Keyframe) -> None:
+        self.keyframes.append(keyframe)
+
+    def work(self) -> Correction | None:
+        if self.loops or len(self.keyframes) < AT:
+            return None
+        assert self.go.wait(HANGS_S)
+        self.loops.append(object())
+        n = len(self.keyframes)
+        stamps = np.array([keyframe.frame.stamp_ns for keyframe in self.keyframes], np.int64)
+        bends = np.array([se3.exp(k * BEND) for k in range(n)])
+        T = bends @ np.array([keyframe.T_world_cam for keyframe in self.keyframes])
+        return Correction(1, stamps, T, np.zeros((n, 6, 6)), np.zeros(n, np.int32))
+
+
+class Robot:
+    """A tracker that is fed by hand, and mappers, in one process but over DDS."""
+
+    def __init__(self, eye: Any, go: threading.Event) -> None:
+        self.eye, self.executor, self._go = eye, SingleThreadedExecutor(), go
+        self.executor.add_node(eye)
+        self.mappers: list[Any] = []
+        self.packets: list[KeyframePacket] = []
+        self.publisher = KeyframePublisher(eye, eye._outputs.world)
+        self.frames = iter(SOURCE)
+
+    def correct(self, brain: Any) -> None:
+        """Have the back end correct, and wait until a mapper has it."""
+        self._go.set()
+        self.spin(lambda: brain._session.mapper.revision == 1)
+
+    def mapper(self) -> Any:
+        brain = MapperNode()
+        self.mappers.append(brain)
+        self.executor.add_node(brain)
+        self.spin(lambda: self.publisher.connected())
+        return brain
+
+    def track(self, count: int) -> None:
+        """Track frames as the node does, and keep what the mapper should get."""
+        session = self.eye._session
+        for _ in range(count):
+            frame = next(self.frames)
+            small = SimpleNamespace(color=frame.color[::2, ::2], depth_m=frame.depth_m[::2, ::2])
+            frame = type(frame)(
+                frame.stamp_ns, frame.depth_stamp_ns, small.color.copy(), small.depth_m.copy()
+            )
+            result = session.track(frame, CAMERA)
+            self.packets += session.packets(frame, result, 'optical')
+
+    def send(self, packets: list[KeyframePacket], brain: Any) -> None:
+        """Send them until a mapper has them all, as the sender does."""
+        for packet in packets:
+            self.publisher.send(packet)
+            self.spin(lambda stamp=packet.stamp_ns: stamp in brain._session.stamps)  # type: ignore[misc]
+
+    def spin(self, condition: Callable[[], Any]) -> None:
+        end = time.monotonic() + HANGS_S
+        while not condition():
+            assert time.monotonic() < end
+            self.executor.spin_once(timeout_sec=0.01)
+            for brain in self.mappers:
+                parts = brain._queue.take(0.0)
+                if parts is not None:
+                    brain._insert(parts)
+                    brain._session.advance()
+            self.eye._camera.queue.take(0.0)
+
+    def poses(self) -> dict[int, NDArray[np.float64]]:
+        """Return where the tracker has its keyframes, by their names."""
+        visited, names = self.eye._session.tracker.visited, self.eye._session._names
+        return {names[k]: T for k, T in enumerate(visited.poses) if k in names}
+
+
+def poses_of(brain: Any) -> dict[int, NDArray[np.float64]]:
+    return {view.stamp_ns: view.T_tracked for view in brain._session.mapper.views}
+
+
+def assert_one_world(robot: Robot, brain: Any) -> None:
+    """The mapper has keyframes where the tracker has them, and views beside theirs."""
+    found, expected = poses_of(brain), robot.poses()
+    for stamp, T in expected.items():
+        np.testing.assert_allclose(found[stamp], T, atol=1e-9)
+    for packet in robot.packets:
+        reference = packet.posed.reference
+        if reference is not None:
+            beside = se3.inverse(reference.T_world_cam) @ packet.posed.T_world_cam
+            T = expected[reference.stamp_ns] @ beside
+            np.testing.assert_allclose(found[packet.stamp_ns], T, atol=1e-9)
+
+
+@pytest.fixture
+def robot(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
+    idle = SimpleNamespace(join=lambda: None, leave=lambda: None)
+    for module in (tracker, mapper):
+        monkeypatch.setattr(module, 'Worker', lambda node, work, name: idle)
+    go = threading.Event()
+    monkeypatch.setattr(
+        tracker, 'make_loops',
+        lambda config, take, warn: BackEndWorker(lambda *_: Scripted(go), take, warn),
+    )  # fmt: skip
+    made = Robot(TrackerNode(), go)
+    made.eye._session.config = override(Config(sensor=SOURCE.sensor), EAGER)
+    yield made
+    go.set()
+    for node in (made.eye, *made.mappers):
+        node._ready = False
+        node.close()
+        node.destroy_node()
+
+
+def test_a_correction_moves_the_mappers_map_once_and_late_joiners_have_it_too(
+    robot: Robot,
+) -> None:
+    brain, updates = robot.mapper(), list[PointCloud2]()
+    robot.track(6)
+    before = list(robot.packets)
+    robot.send(before[:-1], brain)
+    brain._outputs.update(brain._session.mapper)
+    brain._outputs._updates = SimpleNamespace(publish=updates.append)
+    received: list[PointCloud2] = []
+    brain._outputs._received = SimpleNamespace(publish=received.append)
+    robot.correct(brain)
+    assert len(received) == 1 and not updates  # those have their rate
+
+    # All Gaussians of moved keyframes are changed, and no other.
+    views, table = brain._session.mapper.views, brain._session.mapper.table
+    first = views[0].stamp_ns  # which the correction leaves where it was
+    moved = np.array([view.reference_ns != first for view in views])[table.hosts]
+    brain._outputs.update(brain._session.mapper)
+    rows = read_cloud(updates[-1], MAP_GAUSSIAN)
+    assert set(rows['id'].tolist()) == set(table.ids[moved].tolist()) != set(table.ids.tolist())
+
+    robot.send(before[-1:], brain)  # which was on its way meanwhile
+    assert_one_world(robot, brain)
+
+    # What is tracked from now on is in the corrected world.
+    robot.track(3)
+    robot.send(robot.packets[len(before) :], brain)
+    assert_one_world(robot, brain)
+    assert len(robot.poses()) > AT
+
+    # A mapper that starts late gets keyframes as they were kept, from before the correction.
+    late = robot.mapper()
+    robot.send(robot.packets, late)
+    robot.spin(lambda: late._session.mapper.revision == 1)
+    assert_one_world(robot, late)
+
+    # So does one that is reset: the poses are still known.
+    late._session.reset()
+    robot.send(robot.packets, late)
+    assert_one_world(robot, late)
+
+
+def test_an_answer_from_before_the_correction_turns_no_normals(robot: Robot) -> None:
+    brain, answers = robot.mapper(), list[Any]()
+    robot.track(6)
+    robot.eye._mapper._pass_answer = lambda update, epoch: answers.append((update, epoch))
+    robot.send(robot.packets[:-1], brain)
+    robot.correct(brain)
+    robot.send(robot.packets[-1:], brain)
+    robot.spin(lambda: len(answers) == len(robot.packets))
+    told = [(update, epoch) for update, epoch in answers if len(update.ids)]
+    assert [update.revision for update, _ in told] == [0] * (len(told) - 1) + [1]
+    session = robot.eye._session
+    normals = session.tracker.gaussians.normals.copy()
+    session.apply(*told[0])
+    np.testing.assert_array_equal(session.tracker.gaussians.normals, normals)
+    session.apply(*told[-1])
+    assert (session.tracker.gaussians.normals != normals).any()
+
+
+def test_a_rivals_poses_move_nothing(robot: Robot) -> None:
+    brain = robot.mapper()
+    robot.track(4)
+    robot.send(robot.packets, brain)
+    before = poses_of(brain)
+    outputs = robot.eye._outputs
+    named = robot.eye._session._named(robot.eye._session.tracker.corrected_poses)
+    rival = robot.eye.create_publisher(PointCloud2, 'keyframe_poses', latched(1))
+    from dcgs_ros.nodes.messages.corrections import write_correction
+
+    moved = Correction(
+        9, named.stamps_ns, named.T_world_cam + 1.0, named.covariances, named.submaps
+    )
+    rival.publish(write_correction(moved, first_epoch(), outputs.world))
+    robot.spin(lambda: bool(brain._session._corrections))
+    for stamp, T in poses_of(brain).items():
+        np.testing.assert_array_equal(T, before[stamp])
+
+
+def test_the_back_end_of_a_node_is_there_unless_it_is_not_wanted() -> None:
+    config = override(Config(), {'backend.loops': False})
+    assert back_end.make_loops(config, print, print).figures() == {}

@@ -13,7 +13,6 @@ import threading
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..config.stages import Config

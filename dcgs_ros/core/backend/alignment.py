@@ -18,6 +18,8 @@ _FARTHEST_BITS = 64  # between descriptors of one corner
 _RATIO = 0.85  # of the distances to the best and the second best (Lowe 2004)
 _FEWEST = 12  # matches, and inliers
 _HYPOTHESES = 300
+_TELLING, _TELLING_SHARE = 25, 0.5  # inliers, and their share of the matches
+_THICK_M = 0.01  # off their best plane, root mean square
 _REPROJECTED_PX = 4.0  # of an inlier, at most
 _SIGMAS = 3.0  # of its depth
 _ROUGH_M = 0.02  # ... plus this
@@ -34,6 +36,16 @@ class Alignment:
     matched: int
     of_a: NDArray[np.int64]  # (I,) features of a that agree ...
     of_b: NDArray[np.int64]  # (I,) ... with these of b
+
+    def is_telling(self, a: Features) -> bool:
+        """Return whether the features that agree are many, most of them, and not in one plane.
+
+        Few agree by chance; a floor or a wall that repeats itself is flat.
+        """
+        points = a.points[self.of_a]
+        off = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1]
+        enough = self.inliers >= max(_TELLING, _TELLING_SHARE * self.matched)
+        return bool(enough and off / np.sqrt(len(points)) > _THICK_M)
 
     def inverted(self) -> Alignment:
         """Return where a is relative to b."""

@@ -55,7 +55,7 @@ class BackEnd:
     ) -> None:
         """Start without keyframes; by default `Closures` find the loops."""
         self._camera, self._config = camera, config
-        self._finder = finder or Closures(camera, config)
+        self._finder: LoopFinder = finder or Closures(camera, config)
         self._graph = KeyframeGraph()
         self._consistency = Consistency()
         self._queue: queue.SimpleQueue[Keyframe] = queue.SimpleQueue()

@@ -33,8 +33,6 @@ from .places import Places, recognition
 _TRIED = 3  # keyframes that look most like a new one
 _LINKED = 3  # edges of odometry: keyframes so near need no loop
 _NEIGHBOURS = 3  # of which the local map of a keyframe is made, besides it
-_FEWEST_INLIERS, _LEAST_SHARE = 25, 0.5  # of the features that match
-_THICK_M = 0.01  # off their best plane: a periodic floor or wall is flat
 _LEAST_OVERLAP = 0.5  # of the points, in the local map
 _MOST_CHI2 = 2.0  # median of the depth factors
 _AGREE_M, _AGREE_RAD = 0.02, 0.02  # of both ways, plus their standard deviations
@@ -87,8 +85,8 @@ class Closures:
         loops = []
         for candidate in self.places.candidates(features, _TRIED, without=near):
             found = self.places.align(candidate, features)
-            if found is not None and self._is_telling(candidate, found):
-                loop = self._verified(candidate, keyframe, found)
+            if found is not None and found.is_telling(self.places.features_of(candidate)):
+                loop = self.verified(candidate, keyframe, found)
                 loops += [] if loop is None else [loop]
         return loops
 
@@ -100,14 +98,7 @@ class Closures:
             reached = reached | frontier
         return reached
 
-    def _is_telling(self, keyframe: int, found: Alignment) -> bool:
-        """Return whether the features that agree are many, most of them, and not in one plane."""
-        enough = found.inliers >= max(_FEWEST_INLIERS, _LEAST_SHARE * found.matched)
-        points = self.places.features_of(keyframe).points[found.of_a]
-        off = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1]
-        return bool(enough and off / np.sqrt(len(points)) > _THICK_M)
-
-    def _verified(self, a: int, b: int, found: Alignment) -> Loop | None:
+    def verified(self, a: int, b: int, found: Alignment) -> Loop | None:
         """Register both ways from where the features say; None unless all agree."""
         forth, back = self._registered(a, b, found), self._registered(b, a, found.inverted())
         if forth is None or back is None:

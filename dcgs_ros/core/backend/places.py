@@ -66,6 +66,10 @@ class Places:
             self._sizes.append(len(features))
             self._features[keyframe] = features
 
+    def knows(self, keyframe: int) -> bool:
+        """Return whether a keyframe's place would be recognised."""
+        return keyframe in self._features
+
     def features_of(self, keyframe: int) -> Features:
         """Return the features of a keyframe that was added."""
         return self._features[keyframe]
@@ -90,9 +94,9 @@ class Places:
         features = extract(frame, self._camera, self._config.sensor)
         found = []
         for keyframe in self.candidates(features, _TRIED):
-            alignment = self.align(keyframe, features)
-            if alignment is not None:
-                found.append(recognition(keyframe, self._features[keyframe], features, alignment))
+            then, alignment = self._features[keyframe], self.align(keyframe, features)
+            if alignment is not None and alignment.is_telling(then):
+                found.append(recognition(keyframe, then, features, alignment))
         return sorted(found, key=lambda one: -len(one.points))[:_OFFERED]
 
     def align(self, keyframe: int, features: Features) -> Alignment | None:

@@ -64,6 +64,10 @@ class Recognition:
 class Recogniser(Protocol):
     """Knows places by what they look like."""
 
+    def knows(self, keyframe: int) -> bool:
+        """Return whether a keyframe's place would be recognised."""
+        ...
+
     def recognise(self, frame: RgbdFrame) -> list[Recognition]:
         """Return where a frame may have been taken, the likeliest first."""
         ...

@@ -196,7 +196,7 @@ class Tracker:
         if self._limit is not None:
             self._limit = replace(self._limit, T_world_cam=here @ self._limit.T_world_cam)
         if self._relocalizer is not None:
-            self._relocalizer.move(self.T_world_cam, self._visited.poses)
+            self._relocalizer.move(self.T_world_cam, self._unrecognisable())
 
     def interrupt(self) -> None:
         """Forget what holds from frame to frame: stamps may start anew, the camera be elsewhere.
@@ -265,7 +265,7 @@ class Tracker:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
         self._first = None
         self._memory = self._forgotten(self._memory.motion)
-        self._relocalizer = Relocalizer(self.T_world_cam, self._visited.poses, self._usual)
+        self._relocalizer = Relocalizer(self.T_world_cam, self._unrecognisable(), self._usual)
         self._searched_s, self._search_ns = 0.0, self._memory.motion.stamp_ns
         return self._relocalizer
 
@@ -427,6 +427,17 @@ class Tracker:
         self._anchor_landmarks(registered)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
+
+    def _unrecognisable(self) -> list[NDArray[np.float64]]:
+        """Return the poses (4, 4) of the keyframes whose places are not known by appearance.
+
+        There the camera is looked for by depth alone, which takes one doorway for the next. Where
+        a place is known, what it looks like has to agree.
+        """
+        known = self.recogniser
+        return [
+            T for k, T in enumerate(self._visited.poses) if known is None or not known.knows(k)
+        ]
 
     def _recognised(self, frame: RgbdFrame) -> list[tuple[NDArray[np.float64], PointFactors]]:
         """Return where a frame may have been taken by what it shows, and what speaks for it."""

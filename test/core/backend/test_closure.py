@@ -92,7 +92,7 @@ def test_features_in_one_plane_are_no_loop_however_many_agree() -> None:
 def test_another_place_is_no_loop() -> None:
     other = SyntheticSource.from_address('synthetic:desk?frames=2&sensor=kinect')
     found = closures(ROOM, [0, 10, 20, 30], linked=False)
-    found.add(keyframe(4, tuple(other)[0], [], np.empty(0)))
+    found.add(keyframe(4, next(iter(other)), [], np.empty(0)))
     assert found.close(4) == []
 
 

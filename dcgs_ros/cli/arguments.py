@@ -128,6 +128,10 @@ class RunArguments(_WithOptions):
     mapping: bool = True
     """Build a map. With --no-mapping the camera is only tracked."""
 
+    loops: bool = True
+    """Recognise places and close loops. With --no-loops no pose is corrected later, as in the
+    paper."""
+
     online: Annotated[
         bool,
         arg(

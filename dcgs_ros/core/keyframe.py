@@ -46,6 +46,21 @@ class Odometry:
 
 
 @dataclass(frozen=True)
+class Sightings:
+    """The corners that a keyframe sees, which are tracked from frame to frame."""
+
+    ids: NDArray[np.int64]  # (L,) of the landmarks
+    rays: NDArray[np.float32]  # (L, 2) undistorted x/z, y/z
+    depths_m: NDArray[np.float32]  # (L,) 0: none
+
+    @classmethod
+    def none(cls) -> Sightings:
+        """Return an empty set."""
+        rays = np.empty((0, 2), np.float32)
+        return cls(np.empty(0, np.int64), rays, rays[:, 0])
+
+
+@dataclass(frozen=True)
 class Keyframe(PosedFrame):
     """A frame that extended the tracker's map, with the Gaussians it spawned."""
 
@@ -53,6 +68,7 @@ class Keyframe(PosedFrame):
     means: NDArray[np.float32]  # (N, 3) metres, world
     normals: NDArray[np.float32]  # (N, 3) unit, world
     odometry: Odometry | None = None  # None: from another process
+    sightings: Sightings | None = None  # None: likewise
 
     def moved(self, motion: NDArray[np.float64]) -> Keyframe:
         """Return it and its Gaussians moved by `motion` (4, 4), in the world."""

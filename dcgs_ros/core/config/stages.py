@@ -211,6 +211,15 @@ class TimingConfig(Stage):
 
 
 @dataclass(frozen=True)
+class BackendConfig(Stage):
+    """Recognition of places, and corrections of the keyframes' poses."""
+
+    loops: bool = described(
+        True, 'Whether places are recognised and loops closed; if not, no pose is corrected.'
+    )
+
+
+@dataclass(frozen=True)
 class MappingConfig(Stage):
     """The mapper: its views, the Gaussians it adds and removes, and its optimisation."""
 
@@ -312,16 +321,6 @@ _DISTANCES = (
 
 
 @dataclass(frozen=True)
-class BackendConfig(Stage):
-    """Places that are seen again, and what follows for the poses of the keyframes."""
-
-    loops: bool = described(
-        True,
-        "Recognise places and correct the keyframes' poses; without it is the paper's system.",
-    )
-
-
-@dataclass(frozen=True)
 class Config(Stage):
     """The settings of all stages."""
 
@@ -342,9 +341,9 @@ class Config(Stage):
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     timing: TimingConfig = field(default_factory=TimingConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)
-    backend: BackendConfig = field(default_factory=BackendConfig)
 
     def scaled_to(self, width: int, height: int) -> Config:
         """Return the settings for images of this size, in pixels.

@@ -84,6 +84,8 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self._config.keyframes)
         self._visited = Visited()  # the keyframes
+        self._next_landmark = 0  # id
+        self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
@@ -184,6 +186,7 @@ class Tracker:
         motions = self._visited.correct(correction)
         self.revision = correction.revision
         here = motions[self._host]
+        self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
         self._policy.move(here)
@@ -236,6 +239,16 @@ class Tracker:
     def keyframes(self) -> int:
         """How many keyframes the map has."""
         return len(self._visited)
+
+    @property
+    def keyframe_poses(self) -> NDArray[np.float64]:
+        """(K, 4, 4) T_world_cam of the keyframes, as corrected so far."""
+        return np.array(self._visited.poses).reshape(-1, 4, 4)
+
+    @property
+    def keyframe_submaps(self) -> NDArray[np.int32]:
+        """(K,) in which sub-map each keyframe is; those that were joined have one number."""
+        return np.array(self._visited.submaps, np.int32)
 
     @property
     def searching(self) -> bool:
@@ -483,7 +496,13 @@ class Tracker:
         self._visited.add(frame.stamp_ns, T, claim.submap, claim.in_world)
         self._depth_bias.add_keyframe(T)
         means, normals = self.gaussians.of(ids)
-        return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry)
+        sightings = self.landmarks.sighted(
+            frame.depth_m, T, registered.T_cam_cam_at_depth, registered.twist, self.camera,
+            config.sensor,
+        )  # fmt: skip
+        return Keyframe(
+            frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry, sightings
+        )
 
     def _runs_out_of_landmarks(self) -> bool:
         """Return whether they are few, or missing where there were some, since the detection."""
@@ -504,6 +523,8 @@ class Tracker:
             registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
             self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
         )  # fmt: skip
+        new = replace(new, ids=self._next_landmark + np.arange(len(new)))
+        self._next_landmark += len(new)
         landmarks = self.landmarks.joined(new)
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
         self._memory = replace(self._memory, landmarks=landmarks, spread=there)
@@ -542,7 +563,7 @@ class Tracker:
         T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
         return Reference(
             self._host, T_keyframe_cam, self._visited.submaps[self._host],
-            self._visited.stamps_ns[self._host],
+            self._visited.stamps_ns[self._host], self.revision, self._T_uncorrected_world,
         )  # fmt: skip
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:

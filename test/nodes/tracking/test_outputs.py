@@ -75,7 +75,7 @@ class Robot:
         result = TrackResult(
             10**8 * self._count, T, np.eye(4), 1e-6 * np.eye(6), 1e-4 * np.eye(6),
             TrackingState.OK, None, 0, 0, 0, False, (), 0.0,
-            Reference(keyframe, np.eye(4), submap, 7),
+            Reference(keyframe, np.eye(4), submap, 7, 0, np.eye(4)),
         )  # fmt: skip
         self.outputs._path_due_s = 0.0
         self.outputs.publish(result, TO_BASE)

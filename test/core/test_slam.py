@@ -16,7 +16,7 @@ import pytest
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe import Keyframe, MapUpdate, PosedFrame
+from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate, PosedFrame
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.slam import Lockstep, Online
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
@@ -84,6 +84,10 @@ class FakeMapper:
         self.hook('insert')
         self.views.append(posed)
         self.log.append(f'insert {posed.frame.stamp_ns}')
+
+    def correct(self, correction: Correction) -> None:
+        self.hook('correct')
+        self.log.append(f'correct {correction.revision}')
 
     def step(self, rate: float = 1.0, replay: bool = False) -> float:
         self.hook('step')
@@ -176,6 +180,25 @@ def test_each_keyframe_is_inserted_then_optimised_and_answered() -> None:
     tracker, mapper = FakeTracker(), FakeMapper(steps_per_frame=1.0, view_interval=100)
     follow(lockstep(tracker, mapper), tracker, 4, {0, 2})
     assert mapper.log == ['insert 0', 'step', 'update', 'insert 2', 'step', 'update', 'step']
+
+
+def correction(revision: int) -> Correction:
+    none = np.empty((0, 4, 4))
+    return Correction(revision, NO_IDS, none, none, np.empty(0, np.int32))
+
+
+def test_a_correction_comes_after_what_was_handed_over_before_it() -> None:
+    tracker, mapper = FakeTracker(), FakeMapper(steps_per_frame=1.0, final_steps=0)
+    mapping = lockstep(tracker, mapper)
+    follow(mapping, tracker, 2, {0})
+    mapping.after(*tracker.track(keyframe=True))
+    mapping.correct(correction(1))
+    mapping.after(*tracker.track(keyframe=True))
+    mapping.advance()
+    tail = ['insert 2', 'correct 1', 'insert 3', 'step', 'update']
+    assert mapper.log[-len(tail) :] == tail
+    mapping.correct(correction(2))
+    assert not list(mapping.finish()) and mapper.log[-1] == 'correct 2'
 
 
 def test_after_alone_does_no_work() -> None:
@@ -282,6 +305,16 @@ def test_online_every_keyframe_arrives_in_order(session: Session) -> None:
     expected = [0, 5, 6, 7, *range(11, 200, 4)]
     eventually(lambda: len(session.mapper.views) == len(expected))
     assert session.mapper.inserted == expected
+
+
+def test_online_a_correction_keeps_its_place(session: Session) -> None:
+    session.frame(keyframe=True)
+    session.frame()
+    session.mapping.correct(correction(1))
+    session.frame(keyframe=True)
+    list(session.mapping.finish())
+    told = [line for line in session.mapper.log if line[0] in 'ic']
+    assert told.index('insert 0') < told.index('correct 1') < told.index('insert 2')
 
 
 def test_online_the_mapper_goes_on_while_nothing_comes(session: Session) -> None:

@@ -35,6 +35,10 @@ class Alignment:
     of_a: NDArray[np.int64]  # (I,) features of a that agree ...
     of_b: NDArray[np.int64]  # (I,) ... with these of b
 
+    def inverted(self) -> Alignment:
+        """Return where a is relative to b."""
+        return Alignment(se3.inverse(self.T_a_b), self.matched, self.of_b, self.of_a)
+
     @property
     def inliers(self) -> int:
         """How many features agree."""

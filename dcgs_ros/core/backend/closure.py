@@ -3,9 +3,8 @@
 """Loops: keyframes that see a place again, and where they are to each other.
 
 Features say where to look; the pose is that of the tracker's own registration, of the depth of one
-keyframe against Gaussians made of the other's and its neighbours', and the other way round. Both
-must tell the same, and leave no direction open. Along a corridor surfaces slide along themselves:
-there the features have to hold the pose, so it must be theirs, too.
+keyframe against Gaussians made of the other's and its neighbours' together with the features, and
+the other way round. Both must tell the same, and leave no direction open.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from ..tracking.registration import DepthTerm, register
 from ..tracking.uncertainty import PoseUncertainty, pose_uncertainty
 from .alignment import Alignment
 from .features import extract
-from .places import Places
+from .places import Places, recognition
 
 _TRIED = 3  # keyframes that look most like a new one
 _LINKED = 3  # edges of odometry: keyframes so near need no loop
@@ -110,8 +109,7 @@ class Closures:
 
     def _verified(self, a: int, b: int, found: Alignment) -> Loop | None:
         """Register both ways from where the features say; None unless all agree."""
-        forth = self._registered(a, b, found.T_a_b)
-        back = self._registered(b, a, se3.inverse(found.T_a_b))
+        forth, back = self._registered(a, b, found), self._registered(b, a, found.inverted())
         if forth is None or back is None:
             return None
         moved = se3.log(se3.inverse(found.T_a_b) @ forth.T_a_b)
@@ -127,12 +125,14 @@ class Closures:
         half = se3.exp(-0.5 * apart)  # the mean of both ways
         return Loop(a, b, half @ forth.T_a_b, forth.covariance, found.inliers)
 
-    def _registered(self, a: int, b: int, T_a_b: NDArray[np.float64]) -> _Registered | None:
-        """Register the points of b against the surroundings of a; None if that is not clear."""
-        config, limits = self._config, self._config.registration
-        depth = DepthTerm(self._clouds[b], self._local_map(a), self._camera.focal, config)
-        result = register(T_a_b, depth, None, config, 2.0 * limits.radius_m)
-        result = register(result.T_world_cam, depth, None, config, limits.radius_m)
+    def _registered(self, a: int, b: int, found: Alignment) -> _Registered | None:
+        """Register what b sees against the surroundings of a; None if that is not clear."""
+        config, limits, focal = self._config, self._config.registration, self._camera.focal
+        depth = DepthTerm(self._clouds[b], self._local_map(a), focal, config)
+        then, now = self.places.features_of(a), self.places.features_of(b)
+        image = recognition(a, then, now, found).factors(np.eye(4), focal, config.sensor)
+        result = register(found.T_a_b, depth, image, config, 2.0 * limits.radius_m)
+        result = register(result.T_world_cam, depth, image, config, limits.radius_m)
         if not (result.overlap >= _LEAST_OVERLAP and result.median_chi2 <= _MOST_CHI2):
             return None
         uncertainty = pose_uncertainty(result, self._camera)

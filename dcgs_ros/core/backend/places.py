@@ -13,12 +13,12 @@ import threading
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from ..kernels.jit import kernel
+from ..tracking.relocalization import Recognition
 from .alignment import Alignment, align
 from .features import Features, extract
 
@@ -85,16 +85,15 @@ class Places:
         best = np.argsort(-votes, kind='stable')[:count]
         return [int(rows[k]) for k in best if votes[k] > 0.0]
 
-    def recognise(self, frame: RgbdFrame) -> list[tuple[int, NDArray[np.float64]]]:
-        """Return keyframes and T_keyframe_cam (4, 4) where a frame may be, the likeliest first."""
+    def recognise(self, frame: RgbdFrame) -> list[Recognition]:
+        """Return where a frame may have been taken, the likeliest first."""
         features = extract(frame, self._camera, self._config.sensor)
-        found: list[tuple[int, Alignment]] = []
+        found = []
         for keyframe in self.candidates(features, _TRIED):
             alignment = self.align(keyframe, features)
             if alignment is not None:
-                found.append((keyframe, alignment))
-        found.sort(key=lambda one: -one[1].inliers)
-        return [(keyframe, alignment.T_a_b) for keyframe, alignment in found[:_OFFERED]]
+                found.append(recognition(keyframe, self._features[keyframe], features, alignment))
+        return sorted(found, key=lambda one: -len(one.points))[:_OFFERED]
 
     def align(self, keyframe: int, features: Features) -> Alignment | None:
         """Return where features are relative to a keyframe; None where that is not clear."""
@@ -111,6 +110,15 @@ class Places:
         grown_next[:, : self._used] = self._next[:, : self._used]
         grown_rows[: self._used] = self._row_of[: self._used]
         self._next, self._row_of = grown_next, grown_rows
+
+
+def recognition(
+    keyframe: int, seen_then: Features, seen_now: Features, found: Alignment
+) -> Recognition:
+    """Return what an alignment of an image with a keyframe tells of the image's pose."""
+    known = seen_then.depths_m[found.of_a] > 0.0
+    now, points = seen_now[found.of_b[known]], seen_then.points[found.of_a[known]]
+    return Recognition(keyframe, found.T_a_b, points, now.rays, now.depths_m)
 
 
 @kernel

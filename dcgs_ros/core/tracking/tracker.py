@@ -21,6 +21,7 @@ from ..keyframe import Correction, Keyframe, MapUpdate
 from .corners import spread
 from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
+from .factors import PointFactors
 from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
@@ -400,10 +401,8 @@ class Tracker:
         motion = self._memory.motion
         if not motion.is_gap(frame.stamp_ns):
             guesses = [*guesses, motion.predict(frame.stamp_ns)]
-        if self.recogniser is not None:
-            places = self.recogniser.recognise(frame)
-            guesses = [*guesses, *(self._visited.poses[k] @ T for k, T in places)]
-        best = relocalizer.best(depth, config, guesses)
+        places = self._recognised(frame) if relocalizer.wants_places else []
+        best = relocalizer.best(depth, config, guesses, places)
         T = best.T_world_cam
         grey = to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
@@ -428,6 +427,17 @@ class Tracker:
         self._anchor_landmarks(registered)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
+
+    def _recognised(self, frame: RgbdFrame) -> list[tuple[NDArray[np.float64], PointFactors]]:
+        """Return where a frame may have been taken by what it shows, and what speaks for it."""
+        if self.recogniser is None:
+            return []
+        focal, sensor, poses = self.camera.focal, self._config.sensor, self._visited.poses
+        return [
+            (poses[one.keyframe] @ one.T_keyframe_cam,
+             one.factors(poses[one.keyframe], focal, sensor))
+            for one in self.recogniser.recognise(frame)
+        ]  # fmt: skip
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""

@@ -80,7 +80,8 @@ def test_keyframes_that_odometry_links_need_no_loop() -> None:
     assert closures(ROOM, [10, 12, 14], linked=True).close(2) == []
 
 
-def test_a_plane_slides_along_itself_however_many_features_agree() -> None:
+def test_features_in_one_plane_are_no_loop_however_many_agree() -> None:
+    """A floor that repeats itself gives as many at a wrong place."""
     found = closures(PLANE, [0, 3], linked=False)
     features = found.places.features_of(1)
     alignment = found.places.align(0, features)

@@ -25,6 +25,8 @@ ROOM = 'synthetic:room?frames=40&sensor=ideal&speed=3'
 SENSOR, FOCAL = SensorNoise(), 525.0
 FLIPPED = 0.06  # share of ORB's bits that another view of a corner changes
 NEAR_M, NEAR_RAD = 0.02, np.radians(1.0)
+G = se3.exp(np.array([0.3, -0.2, 0.1, 0.05, 0.4, -0.1]))
+OFF = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 SMALL_M, SMALL_RAD = 0.005, np.radians(0.3)
 
 
@@ -201,8 +203,15 @@ def test_a_place_is_recognised_from_another_view() -> None:
     places = Places(source.camera, Config(sensor=source.sensor))
     for k in (0, 12, 24):
         places.add(k, extract(frames[k], source.camera, source.sensor))
-    keyframe, T = places.recognise(frames[15])[0]
-    assert keyframe == 12
-    assert_near(T, relative(ROOM, 12, 15), SMALL_M, SMALL_RAD)
+    found = places.recognise(frames[15])[0]
+    assert found.keyframe == 12
+    T = relative(ROOM, 12, 15)
+    assert_near(found.T_keyframe_cam, T, SMALL_M, SMALL_RAD)
+    factors = found.factors(G, FOCAL, source.sensor)
+    at = factors.normal_equations(G @ T)
+    step = G @ T @ se3.exp(np.linalg.solve(at.H, at.g))
+    assert_near(step, G @ T, SMALL_M, SMALL_RAD)
+    right, wrong = (np.median(factors.chi2(pose)) for pose in (G @ T, G @ T @ se3.exp(OFF)))
+    assert right < 3.0 < 30.0 < wrong
     dark = RgbdFrame(0, 0, np.zeros_like(frames[15].color), frames[15].depth_m)
     assert places.recognise(dark) == []

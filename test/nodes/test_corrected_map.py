@@ -257,3 +257,13 @@ def test_a_rivals_poses_move_nothing(robot: Robot) -> None:
 def test_the_back_end_of_a_node_is_there_unless_it_is_not_wanted() -> None:
     config = override(Config(), {'backend.loops': False})
     assert back_end.make_loops(config, print, print).figures() == {}
+
+
+@pytest.mark.parametrize('loops', [True, False])
+def test_its_kernels_are_loaded_before_the_first_frame(
+    loops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded: list[bool] = []
+    monkeypatch.setattr(back_end.keyframe_graph, 'warm_up', lambda: loaded.append(True))
+    back_end.warm_up_loops(override(Config(), {'backend.loops': loops}))
+    assert loaded == [True] * loops

@@ -24,7 +24,7 @@ from .lifetime import Worker, run
 from .parameters import Parameters
 from .reporter import Reporter
 from .services import answered, offer
-from .tracking.back_end import make_loops
+from .tracking.back_end import make_loops, warm_up_loops
 from .tracking.camera_subscriber import CameraSubscriber
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
@@ -98,6 +98,7 @@ class TrackerNode(Node):
         """Load the kernels, then track every pair until closed."""
         self.get_logger().info(LOADING.message)
         warm_up(ANY_CAMERA, self._params.settings)
+        warm_up_loops(self._params.settings)
         self._camera.warm_up()
         self._resume()
         self._camera.begin()

@@ -82,6 +82,8 @@ class Robot:
         self.eye, self.executor, self._go = eye, SingleThreadedExecutor(), go
         self.executor.add_node(eye)
         self.mappers: list[Any] = []
+        self.kept: list[Correction] = []  # what the sender of keyframes was told
+        eye._sender.correct = self.kept.append
         self.packets: list[KeyframePacket] = []
         self.publisher = KeyframePublisher(eye, eye._outputs.world)
         self.frames = iter(SOURCE)
@@ -184,6 +186,7 @@ def test_a_correction_moves_the_mappers_map_once_and_late_joiners_have_it_too(
     brain._outputs._received = SimpleNamespace(publish=received.append)
     robot.correct(brain)
     assert len(received) == 1 and not updates  # those have their rate
+    assert [told.revision for told in robot.kept] == [1]
 
     # All Gaussians of moved keyframes are changed, and no other.
     views, table = brain._session.mapper.views, brain._session.mapper.table
@@ -254,3 +257,13 @@ def test_a_rivals_poses_move_nothing(robot: Robot) -> None:
 def test_the_back_end_of_a_node_is_there_unless_it_is_not_wanted() -> None:
     config = override(Config(), {'backend.loops': False})
     assert back_end.make_loops(config, print, print).figures() == {}
+
+
+@pytest.mark.parametrize('loops', [True, False])
+def test_its_kernels_are_loaded_before_the_first_frame(
+    loops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded: list[bool] = []
+    monkeypatch.setattr(back_end.keyframe_graph, 'warm_up', lambda: loaded.append(True))
+    back_end.warm_up_loops(override(Config(), {'backend.loops': loops}))
+    assert loaded == [True] * loops

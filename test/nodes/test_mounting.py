@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -145,3 +146,21 @@ def test_a_mount_that_comes_late_makes_all_right_that_follows(
     assert one.node._outputs.close() is not None
     recorded = read_tum(tmp_path / 'trajectory.tum')
     assert off_m(list(recorded.T_world_cam[:5]), true[:5]) < NEAR_M
+
+
+def test_odom_waits_where_it_was_for_a_camera_that_is_lost(robot: Callable[..., Robot]) -> None:
+    one, frames = robot('keyframes.new_submap_s:=1000.0'), list(SOURCE)
+    one.tf.T = MOUNT
+    for shot in shots()[:3]:
+        one.track(shot)
+    last, odom = one.bases()[-1], one.node._outputs._odom
+    for frame in frames[3:6]:  # somebody holds a hand before it
+        dark = replace(
+            frame, color=np.zeros_like(frame.color), depth_m=np.full_like(frame.depth_m, 0.4)
+        )
+        one.track(halved(dark, SOURCE.camera))
+    assert len(one.sent) == 3 and odom._broken
+    for shot in shots()[6:]:
+        one.track(shot)
+    assert len(one.sent) > 3
+    np.testing.assert_allclose(one.bases()[3], last, atol=1e-9)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ...core.backend import keyframe_graph
 from ...core.backend.back_end import BackEnd
 from ...core.config.stages import Config
 from ...core.keyframe import Correction
@@ -19,3 +20,9 @@ def make_loops(
     if not config.backend.loops:
         return NoLoops()
     return BackEndWorker(BackEnd, on_correction, warn)
+
+
+def warm_up_loops(config: Config) -> None:
+    """Load the kernels of the back end: compiling them later would hold up tracking."""
+    if config.backend.loops:
+        keyframe_graph.warm_up()

@@ -168,12 +168,16 @@ def test_a_correction_counts_once_and_unnamed_keyframes_go_along_or_stay() -> No
 
 
 def test_moved_views_are_replayed_first() -> None:
-    mapper, T = filled(4), poses(4)
-    stepped(mapper, 8)
-    mapper.correct(correction_of({0: T[0], 1: T[1], 2: ANY @ T[2], 3: ANY @ T[3]}))
+    mapper, T = filled(8), poses(8)
+    stepped(mapper, 13)  # amidst a round
+    moved = {1, 4, 6, 7}
+    mapper.correct(correction_of({k: ANY @ T[k] if k in moved else T[k] for k in range(8)}))
     visits = [view.visits for view in mapper.views]
-    stepped(mapper, 2)
-    assert [view.visits - k for view, k in zip(mapper.views, visits, strict=True)] == [0, 0, 1, 1]
+    for chosen in (moved, set(range(8)) - moved):
+        stepped(mapper, 4)
+        now = [view.visits for view in mapper.views]
+        assert {k for k in range(8) if now[k] > visits[k]} == chosen
+        visits = now
 
 
 def along(index: int) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ def result_at(
     T_world_cam: NDArray[np.float64], state: TrackingState = OK, submap: int = 0,
     keyframe: bool = False,
 ) -> TrackResult:  # fmt: skip
-    reference = Reference(submap, np.eye(4), submap, 7)
+    reference = Reference(submap, np.eye(4), submap, 7, 0, np.eye(4))
     return TrackResult(
         1, T_world_cam, np.eye(4), FRAME, UNKNOWN, state, None, 0, 0, 0, keyframe, (), 0.0,
         reference,
@@ -87,7 +87,7 @@ def test_neither_a_new_sub_map_nor_its_joining_is_a_step() -> None:
     np.testing.assert_allclose(new.T_odom_cam, T, atol=EXACT)
     assert np.linalg.eigvalsh(new.covariance).max() < 10.0  # not that of an unknown place
     odom.correct(corrected_by(se3.inverse(there), (0, 0)))
-    joined = replace(result_at(T @ STEP), reference=Reference(1, np.eye(4), 0, 7))
+    joined = replace(result_at(T @ STEP), reference=Reference(1, np.eye(4), 0, 7, 1, np.eye(4)))
     np.testing.assert_allclose(moved(odom, joined), T @ STEP, atol=1e-9)
 
 

@@ -75,7 +75,7 @@ class Robot:
         result = TrackResult(
             10**8 * self._count, T, np.eye(4), 1e-6 * np.eye(6), 1e-4 * np.eye(6),
             TrackingState.OK, None, 0, 0, 0, False, (), 0.0,
-            Reference(keyframe, np.eye(4), submap, 7),
+            Reference(keyframe, np.eye(4), submap, 7, 0, np.eye(4)),
         )  # fmt: skip
         self.outputs._path_due_s = 0.0
         self.outputs.publish(result, TO_BASE)
@@ -178,3 +178,17 @@ def test_the_robots_own_odometry_is_placed_in_the_map(robot: Robot) -> None:
 def test_nothing_is_broadcast_where_that_is_not_wanted(robot: Robot) -> None:
     robot.publish(TO_BASE.T_base_cam)
     assert not robot.tf.sent
+
+
+def test_the_velocitys_covariance_is_along_the_axes_of_the_last_camera(robot: Robot) -> None:
+    """That of the pose before is turned to them: here x was y."""
+    at_origin, quarter = CameraToBase(np.eye(4)), se3.exp(np.array([0, 0, 0, 0, 0, np.pi / 2]))
+    robot.publish(np.eye(4))
+    last = robot.outputs._last
+    assert last is not None
+    variances = np.diag([1.0, 4.0, 9.0, 0.0, 0.0, 0.0])
+    robot.outputs._last = replace(last, covariance=variances)
+    still = replace(last, covariance=np.zeros((6, 6)), T_world_cam=quarter, stamp_ns=2 * 10**8)
+    robot.outputs.publish(still, at_origin)
+    found = robot.published['_odometry'][-1].twist.covariance.reshape(6, 6)
+    np.testing.assert_allclose(np.diag(found)[:3], np.array([4.0, 1.0, 9.0]) / 0.1**2, rtol=1e-9)

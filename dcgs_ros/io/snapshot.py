@@ -73,12 +73,7 @@ def restore_mapper(mapper: Mapper, saved: SavedMap, first_id: int = 0) -> None:
 
     Raises `MapFileError` where its views are of another camera.
     """
-    if mapper.camera != saved.camera:
-        raise MapFileError(
-            f'the map is of another camera: {_described(saved.camera)}, not '
-            f'{_described(mapper.camera)}; its views cannot be joined by those of this one, but '
-            'the camera can be localised in it'
-        )
+    check_camera(saved, mapper.camera)
     views = [
         KeyframeView.restored(
             index, known.stamp_ns, (known.T_tracked, known.T_world_cam),
@@ -91,6 +86,15 @@ def restore_mapper(mapper: Mapper, saved: SavedMap, first_id: int = 0) -> None:
     mapper.restore(
         saved.splats, ids, saved.hosts, saved.tracked_means, saved.reach_m, saved.weights, views
     )
+
+
+def check_camera(saved: SavedMap, camera: PinholeCamera) -> None:
+    """Raise `MapFileError` unless a map is of this camera, whose views it can be joined by."""
+    if camera != saved.camera:
+        raise MapFileError(
+            f'the map is of another camera: {_described(saved.camera)}, not '
+            f'{_described(camera)}; it cannot be extended, but the camera can be localised in it'
+        )
 
 
 def _described(camera: PinholeCamera) -> str:

@@ -24,6 +24,9 @@ from ...core.tracking.tracker import Tracker
 from ...core.tracking.warmup import warm_up
 from ...datasets.source import BadFrame
 from ...evaluation.report import RunRecord, SkippedFrame, TrackedFrame
+from ...io.map_archive import SavedMap
+from ...io.sessions import SavedSession
+from ...io.snapshot import restore_mapper
 from .pacing import Arrival, DroppedFrame
 from .progress import Progress
 
@@ -32,16 +35,32 @@ _SLOW_S = 2.0  # a start that takes longer is explained
 
 
 def start(
-    camera: PinholeCamera, config: Config, mapping: bool, online: bool, workers: Workers
+    camera: PinholeCamera,
+    config: Config,
+    mapping: bool,
+    online: bool,
+    workers: Workers,
+    known: SavedMap | None = None,
+    localize: bool = False,
 ) -> Pipeline:
-    """Create tracker and mapper, with all their kernels compiled."""
+    """Create tracker and mapper, with all their kernels compiled, in the `known` map if any.
+
+    With `localize` the tracker leaves that map as it is. Raises `MapFileError` for a map without
+    keyframes, or of another camera than the mapper's.
+    """
     with _explained_if_slow('dcgs: compiling kernels (once)'):
         (warm_up_with_mapper if mapping else warm_up)(camera, config)
     tracker = Tracker(camera, config)
+    if known is not None:
+        known.tracker.resume(tracker)
+        tracker.localize_only = localize
     if not mapping:
         return Pipeline(tracker, NoMapping(), None, online)
     mapper = Mapper(camera, config, workers=workers)
-    return Pipeline(tracker, (Online if online else Lockstep)(tracker, mapper), mapper, online)
+    if known is not None:
+        restore_mapper(mapper, known)
+    mode = (Online if online else Lockstep)(tracker, mapper)
+    return Pipeline(tracker, mode, mapper, online, known.sessions if known is not None else ())
 
 
 @dataclass(frozen=True)
@@ -52,6 +71,7 @@ class Pipeline:
     mapping: MappingMode
     mapper: Mapper | None  # None: the run only tracks
     online: bool  # frames arrive at their recorded pace
+    sessions: tuple[SavedSession, ...] = ()  # before this one, of the map that it extends
 
     def process(
         self,

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.camera import PinholeCamera
-from ..core.config.schema import flatten, override
+from ..core.config.schema import flatten
 from ..core.config.stages import Config
 from ..core.errors import DcgsError
 from ..core.mapping.splats import Splats
-from .archive import Archive, ArchiveError, read_archive, write_archive
+from .archive import VERSION, Archive, ArchiveError, read_archive, write_archive
 from .map_parts import MapFileError as MapFileError
 from .map_parts import check, check_finite, check_keyframes, check_unique, part, read_camera
-from .map_version_1 import upgraded
 from .saved_tracker import SavedTracker
 from .sessions import SESSIONS_NAME, SavedSession, read_sessions, write_sessions
+from .tracker_map import read_settings, up_to_date
 
 # Fields of `SavedMap` that are arrays of the same name in the file.
 _ARRAYS = (
@@ -84,6 +84,7 @@ class SavedMap:
     keyframes: tuple[SavedKeyframe, ...]
     tracker: SavedTracker
     sessions: tuple[SavedSession, ...]
+    version: int = VERSION  # of the file that it was read from
 
     def __post_init__(self) -> None:
         """Check that the parts fit each other; raises `MapFileError` naming one that does not."""
@@ -182,20 +183,15 @@ def read_map(path: Path | str) -> SavedMap:
 
 
 def _assemble(archive: Archive) -> SavedMap:
-    config = part(archive.metadata, 'config')
-    if not isinstance(config, dict):
-        raise MapFileError(f'config is a {type(config).__name__}, not settings')
-    camera = read_camera(part(archive.metadata, 'camera'))
-    settings = override(Config(), config)
-    if archive.version == 1:
-        archive = upgraded(archive, camera, settings.sensor)
+    version, archive = archive.version, up_to_date(archive)
     return SavedMap(
-        camera=camera,
-        config=settings,
+        camera=read_camera(part(archive.metadata, 'camera')),
+        config=read_settings(archive),
         splats=Splats(part(archive.arrays, 'splats')),
         keyframes=_keyframes(archive),
         tracker=SavedTracker.from_parts(archive.arrays, part(archive.metadata, 'next_id')),
         sessions=read_sessions(part(archive.blobs, SESSIONS_NAME)),
+        version=version,
         **{name: part(archive.arrays, name) for name in _ARRAYS},
     )
 

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from ..core import se3
 from ..core.camera import PinholeCamera
-from ..core.mapping.splats import Splats
 from ..core.sensor import SensorNoise
+from ..core.shape import normals_and_flatness
 from .archive import Archive
 from .map_parts import check, check_keyframes, part
 from .saved_tracker import ID_MARGIN
 from .sessions import SESSIONS_NAME, SavedSession, write_sessions
+
+_PLANES = 14  # x y z, three log-scales, four of the rotation, opacity, three of the colour
 
 
 def upgraded(archive: Archive, camera: PinholeCamera, sensor: SensorNoise) -> Archive:
@@ -43,9 +45,10 @@ def upgraded(archive: Archive, camera: PinholeCamera, sensor: SensorNoise) -> Ar
 
 def _as_mapped(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return what version 2 has more of the mapper's Gaussians and views."""
-    planes, hosts = Splats(part(arrays, 'splats')).planes, part(arrays, 'hosts')
+    planes, hosts = part(arrays, 'splats'), part(arrays, 'hosts')
     tracked, poses = part(arrays, 'tracked'), part(arrays, 'poses')
-    n, views = planes.shape[1], part(arrays, 'stamps_ns').size
+    n, views = planes.size // _PLANES, part(arrays, 'stamps_ns').size
+    check('splats', planes, np.float32, (_PLANES, n))
     check('hosts', hosts, np.int32, (n,))
     check('stamps_ns', part(arrays, 'stamps_ns'), np.int64, (views,))
     check('tracked', tracked, np.float64, (views, 4, 4))
@@ -75,7 +78,7 @@ def _as_tracked(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     usable = (ids >= 0) & np.isfinite(viewpoints).all(axis=1) & np.isfinite(planes).all(axis=0)
     rows = np.flatnonzero(usable & (lengths > 0))
     rows = rows[np.argsort(ids[rows], kind='stable')]
-    normals, flatness = Splats(planes).shape(rows)
+    normals, flatness = normals_and_flatness(planes[3:6, rows], planes[6:10, rows])
     back = _motions(tracked, arrays['poses'])[hosts[rows]]
     with np.errstate(invalid='ignore', over='ignore'):
         normals = np.einsum('nij,nj->ni', back[:, :3, :3], normals).astype(np.float32)

@@ -22,12 +22,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from sealing import unsealed_zip  # type: ignore[import-not-found]
 
 from dcgs_ros.io import archive, zip_members
 from dcgs_ros.io.archive import ArchiveError, read_archive, write_archive
 from dcgs_ros.io.digest import SEAL_LENGTH
-
-from .sealing import unsealed_zip
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 DTYPES = ['|b1', '|i1', '|u1', '<i2', '<u2', '<i4', '<u4', '<i8', '<u8', '<f4', '<f8']

@@ -20,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from sealing import unsealed_zip  # type: ignore[import-not-found]
 
 from dcgs_ros.core.camera import LARGEST, PinholeCamera
 from dcgs_ros.core.config.schema import flatten, override
@@ -30,8 +31,6 @@ from dcgs_ros.io.archive import Archive, read_archive, write_archive
 from dcgs_ros.io.map_archive import MapFileError, SavedKeyframe, SavedMap, read_map, write_map
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.io.sessions import SavedSession
-
-from .sealing import unsealed_zip
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 FLOAT32 = st.floats(width=32, allow_nan=False, allow_infinity=False)  # denormals and -0 too
@@ -311,6 +310,7 @@ def test_a_map_of_version_1_is_read_and_its_tracker_made_up() -> None:
         np.testing.assert_array_equal(getattr(saved, name), getattr(expected, name))
     np.testing.assert_array_equal(saved.splats.planes, expected.splats.planes)
     assert (saved.camera, saved.config) == (expected.camera, expected.config)
+    assert (saved.version, expected.version) == (1, 2)
     tracker = saved.tracker
     np.testing.assert_array_equal(tracker.ids, saved.ids[saved.measured])
     np.testing.assert_array_equal(tracker.hosts, saved.hosts[saved.measured])
@@ -453,7 +453,8 @@ def test_a_part_that_is_missing_is_named(tmp_path: Path) -> None:
     for group in ('arrays', 'metadata', 'blobs'):
         for name in getattr(parts, group):
             rest = {key: value for key, value in getattr(parts, group).items() if key != name}
-            written(tmp_path / 'a.map', dataclasses.replace(parts, **{group: rest}))
+            changes: dict[str, Any] = {group: rest}
+            written(tmp_path / 'a.map', dataclasses.replace(parts, **changes))
             with pytest.raises(MapFileError, match=rf"a\.map: holds no '{name}'"):
                 read_map(tmp_path / 'a.map')
 

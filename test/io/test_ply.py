@@ -19,11 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from sealing import unsealed_ply  # type: ignore[import-not-found]
 
 from dcgs_ros.core.mapping.splats import PLANES, Splats
 from dcgs_ros.io.ply import PlyError, read_ply, write_ply
-
-from .sealing import unsealed_ply
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)  # denormals and -0 too

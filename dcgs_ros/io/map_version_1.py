@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from ..core import se3
 from ..core.camera import PinholeCamera
 from ..core.sensor import SensorNoise
 from ..core.shape import normals_and_flatness
+from ..core.tracking.depth_bias import TERMS
+from ..core.tracking.verification import Usual
 from .archive import Archive
 from .map_parts import check, check_keyframes, part
 from .saved_tracker import ID_MARGIN
@@ -91,7 +93,8 @@ def _as_tracked(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         'observers': hosts[rows], 'stamps_ns': arrays['stamps_ns'], 'poses': tracked,
         'submaps': np.zeros(views, np.int32), 'covariances': np.zeros((views, 6, 6)),
         'edges': np.empty((0, 2), np.int32), 'edge_poses': np.empty((0, 4, 4)),
-        'edge_shares': np.empty(0),
+        'edge_shares': np.empty(0), 'usual': np.array(astuple(Usual()), np.float64),
+        'depth_bias': np.zeros(TERMS),
     }  # fmt: skip
 
 

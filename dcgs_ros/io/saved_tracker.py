@@ -5,20 +5,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from ..core.camera import PinholeCamera
 from ..core.config.stages import Config
 from ..core.keyframe import Odometry
+from ..core.tracking.depth_bias import TERMS
 from ..core.tracking.gaussian_map import GaussianMap
 from ..core.tracking.tracker import Tracker
+from ..core.tracking.verification import Usual
 from .map_parts import MapFileError, check, check_finite, check_keyframes, check_unique, part
 
 ID_MARGIN = 1 << 16  # ids that may have been given out after the highest that is known
 _PREFIX = 'tracker_'  # of the arrays in the file
+_USUAL = f'{_PREFIX}usual'
 _MOST_IDS = 1 << 28  # a tracker keeps four bytes for each id that it has given out
 # Type and shape of each array; T Gaussians, K keyframes, E edges.
 _LAYOUT: dict[str, tuple[DTypeLike, tuple[str | int, ...]]] = {
@@ -36,6 +40,8 @@ _LAYOUT: dict[str, tuple[DTypeLike, tuple[str | int, ...]]] = {
     'edges': (np.int32, ('E', 2)),
     'edge_poses': (np.float64, ('E', 4, 4)),
     'edge_shares': (np.float64, ('E',)),
+    'usual': (np.float64, (4,)),
+    'depth_bias': (np.float64, (TERMS,)),
 }
 
 
@@ -61,6 +67,8 @@ class SavedTracker:
     edges: NDArray[np.int32]  # (E, 2) keyframe and a host that it was tracked against
     edge_poses: NDArray[np.float64]  # (E, 4, 4) T_host_cam
     edge_shares: NDArray[np.float64]  # (E,) of the keyframe's matches
+    usual: NDArray[np.float64]  # (4,) overlap, chi2, agreement and frames of `Usual`
+    depth_bias: NDArray[np.float64]  # (5,) that the camera's depth was corrected by
 
     def __post_init__(self) -> None:
         """Check that the parts fit each other; raises `MapFileError` naming one that does not."""
@@ -99,6 +107,7 @@ class SavedTracker:
             np.array(hosts, np.int32).reshape(-1, 2),
             np.concatenate([np.empty((0, 4, 4)), *(o.T_host_cam for o in odometries)]),
             np.concatenate([np.empty(0), *(o.shares for o in odometries)]),
+            np.array(astuple(tracker.usual), np.float64), tracker.depth_bias.copy(),
         )  # fmt: skip
 
     @classmethod
@@ -107,6 +116,12 @@ class SavedTracker:
         if not isinstance(next_id, int):
             raise MapFileError(f'next_id is {next_id!r}, no number')
         return cls(next_id=next_id, **{n: part(arrays, _PREFIX + n) for n in _LAYOUT})
+
+    def is_same_map(self, other: SavedTracker) -> bool:
+        """Return whether two are equal to the byte but for `usual`, which any frame changes."""
+        ours, theirs = self.parts, other.parts
+        same = all(ours[n].tobytes() == theirs[n].tobytes() for n in ours if n != _USUAL)
+        return same and self.next_id == other.next_id
 
     @property
     def parts(self) -> dict[str, NDArray[Any]]:
@@ -132,8 +147,8 @@ class SavedTracker:
         )  # fmt: skip
         return gaussians
 
-    def resume(self, tracker: Tracker) -> None:
-        """Have a tracker that has tracked nothing yet go on in this map.
+    def resume(self, tracker: Tracker, camera: PinholeCamera) -> None:
+        """Have a tracker that has tracked nothing yet go on in this map, made with a `camera`.
 
         Raises `MapFileError` for a map without keyframes.
         """
@@ -141,8 +156,11 @@ class SavedTracker:
             raise MapFileError(
                 f'{len(self.ids)} Gaussians of {len(self.poses)} keyframes: nothing to track'
             )
+        overlap, chi2, agreement, frames = self.usual.tolist()
         config = tracker.config.scaled_to(tracker.camera.width, tracker.camera.height)
         tracker.resume(
             self.gaussians(config), list(self.poses), self.stamps_ns.tolist(),
             self.submaps.tolist(), [self.odometry(k) for k in range(len(self.poses))],
+            Usual(overlap, chi2, agreement, int(frames)),
+            self.depth_bias if camera == tracker.camera else None,
         )  # fmt: skip

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,14 @@ from ..core.mapping.exposure import Exposure
 from ..core.mapping.mapper import Mapper
 from ..core.mapping.splats import Splats
 from ..core.mapping.views import KeyframeView
+from ..core.tracking.depth_bias import TERMS
 from ..core.tracking.tracker import Tracker
+from ..core.tracking.verification import Usual
 from .map_archive import MapFileError, SavedKeyframe, SavedMap
 from .saved_tracker import ID_MARGIN, SavedTracker
 from .sessions import SavedSession, extended
 
+_AGREEING_VIEWS = 5  # that tell how well frames usually agree with a map
 _ROWS, _COLUMNS = np.triu_indices(3)  # xx xy xz yy yz zz
 
 
@@ -42,7 +46,7 @@ def saved_map(
     if tracker is None:
         viewpoints, covariances = as_hosts_saw(mapper)
         landmarks, landmark_covariances = np.empty((0, 3)), np.empty((0, 3, 3))
-        known = _tracker_of(mapper, ids, numbers, viewpoints)
+        known = _with_usual(_tracker_of(mapper, ids, numbers, viewpoints), mapper)
     else:
         viewpoints, covariances = _as_tracked(table.ids, tracker)
         landmarks = tracker.landmarks.targets.points.astype(np.float64)
@@ -143,8 +147,23 @@ def _tracker_of(
         np.array([view.stamp_ns for view in keyframes], np.int64),
         np.array([view.T_tracked for view in keyframes]).reshape(-1, 4, 4),
         np.zeros(count, np.int32), np.zeros((count, 6, 6)), np.empty((0, 2), np.int32),
-        np.empty((0, 4, 4)), np.empty(0),
+        np.empty((0, 4, 4)), np.empty(0), np.array(astuple(Usual()), np.float64), np.zeros(TERMS),
     )  # fmt: skip
+
+
+def _with_usual(known: SavedTracker, mapper: Mapper) -> SavedTracker:
+    """Return the tracker's part with how well its newest keyframes agree with it."""
+    gaussians, config = known.gaussians(mapper.config), mapper.config
+    undistorted = replace(mapper.camera, distortion=())
+    newest = [view for view in mapper.views if view.active][-_AGREEING_VIEWS:]
+    agreements = [
+        gaussians.agreement(view.T_tracked, view.images.depth_m, undistorted, config.sensor)
+        for view in newest
+    ]
+    if not agreements:
+        return known
+    usual = Usual(agreement=float(np.mean(agreements)))
+    return replace(known, usual=np.array(astuple(usual), np.float64))
 
 
 def as_hosts_saw(mapper: Mapper) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

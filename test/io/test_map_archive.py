@@ -85,6 +85,8 @@ def trackers(draw: st.DrawFn) -> SavedTracker:
         edges=draw(arrays(np.int32, (e, 2), elements=of_keyframe)),
         edge_poses=numbers(draw, np.float64, (e, 4, 4)),
         edge_shares=numbers(draw, np.float64, e),
+        usual=numbers(draw, np.float64, 4),
+        depth_bias=numbers(draw, np.float64, 5),
     )
 
 
@@ -178,7 +180,8 @@ def tracked(count: int, frames: int) -> SavedTracker:
         poses=np.tile(np.eye(4), (frames, 1, 1)), submaps=np.zeros(frames, np.int32),
         covariances=np.tile(np.eye(6), (frames, 1, 1)),
         edges=np.array([[frames - 1, 0]] * 2, np.int32), edge_poses=rng.normal(size=(2, 4, 4)),
-        edge_shares=np.array([0.7, 0.3]),
+        edge_shares=np.array([0.7, 0.3]), usual=np.array([0.8, 1.0, 0.9, 7.0]),
+        depth_bias=np.zeros(5),
     )  # fmt: skip
 
 

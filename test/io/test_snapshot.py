@@ -232,7 +232,7 @@ def test_a_tracker_saved_and_resumed_has_the_same_map() -> None:
     tracker.gaussians.remove(tracker.gaussians.ids[-3:].copy())
     saved = SavedTracker.of(tracker)
     again = Tracker(source.camera, tracker.config)
-    saved.resume(again)
+    saved.resume(again, source.camera)
     for name, array in SavedTracker.of(again).parts.items():
         np.testing.assert_array_equal(array, saved.parts[name], err_msg=name)
     assert again.gaussians.next_id == tracker.gaussians.next_id == saved.ids.max() + 4

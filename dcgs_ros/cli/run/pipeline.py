@@ -52,7 +52,7 @@ def start(
         (warm_up_with_mapper if mapping else warm_up)(camera, config)
     tracker = Tracker(camera, config)
     if known is not None:
-        known.tracker.resume(tracker)
+        known.tracker.resume(tracker, known.camera)
         tracker.localize_only = localize
     if not mapping:
         return Pipeline(tracker, NoMapping(), None, online)

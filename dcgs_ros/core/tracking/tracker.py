@@ -157,11 +157,17 @@ class Tracker:
         stamps_ns: Sequence[int],
         submaps: Sequence[int] = (),
         odometries: Sequence[Odometry | None] = (),
+        usual: Usual | None = None,
+        depth_bias: NDArray[np.float64] | None = None,
     ) -> None:
         """Go on in a map whose keyframes were at `poses` (4, 4), the last one the likeliest.
 
-        Frames are lost until one fits the map near one of them. See `Visited.reset`.
+        Frames are lost until one fits the map near one of them. See `Visited.reset`; `usual` and
+        `depth_bias` are those of the tracker that made the map.
         """
+        self._usual = usual or self._usual
+        if depth_bias is not None and depth_bias.any():
+            self._depth_bias.correct_by(depth_bias)
         self.gaussians, self._begun = gaussians, True
         self._visited.reset(stamps_ns, poses, submaps, odometries)
         self._depth_bias.reset(poses)
@@ -218,6 +224,16 @@ class Tracker:
     def T_world_cam(self) -> NDArray[np.float64]:
         """(4, 4) last good pose."""
         return self._memory.motion.T_world_cam
+
+    @property
+    def usual(self) -> Usual:
+        """How well frames fit the map that were tracked well."""
+        return self._usual
+
+    @property
+    def depth_bias(self) -> NDArray[np.float64]:
+        """(5,) theta of `DepthBias`, that depth is corrected by."""
+        return self._depth_bias.theta
 
     @property
     def visited(self) -> Visited:

@@ -68,6 +68,12 @@ class Run:
             ]
         )
 
+    @property
+    def submaps(self) -> NDArray[np.int64]:
+        """(N,) in which sub-map each frame is; -1 where it has none."""
+        references = [None if r is None else r.reference for r in self.results]
+        return np.array([-1 if r is None else r.submap for r in references])
+
 
 def silent(run: Run) -> SilentFrames:
     """Return which frames are wrong and sure over the last second of true time.
@@ -79,7 +85,7 @@ def silent(run: Run) -> SilentFrames:
     found = silent_frames(
         Trajectory(stamps_ns, run.poses[given]),
         [result.state for result in run.results if result is not None],
-        run.sigmas_m[given], Trajectory(stamps_ns, run.truth[given]),
+        run.sigmas_m[given], Trajectory(stamps_ns, run.truth[given]), run.submaps[given],
     )  # fmt: skip
     judged, off, overconfident = (np.zeros(len(run.shots), np.bool_) for _ in range(3))
     judged[given], off[given] = found.judged, found.off
@@ -157,7 +163,7 @@ def score(
     beyond = (errors.metres > clean.metres + _BEYOND_M) | (
         errors.radians > clean.radians + _BEYOND_RAD
     )
-    sure = run.ok & after
+    sure = run.ok & after & (run.submaps == 0)  # of the place in another one nothing is claimed
     return Score(
         _detected_s(fault, faulted, run), _recovered_s(faulted, run, errors, clean, seen),
         bool(_lasting(seen)[faulted.end :].any()),

@@ -25,6 +25,7 @@ from dcgs_ros.cli.run.progress import Progress
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.loop_closing import ClosingInLockstep
 from dcgs_ros.core.tracking.result import TrackResult
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.core.trajectory import Trajectory
@@ -96,7 +97,9 @@ def clip_of(source: Source) -> Clip:
 def track(camera: PinholeCamera, config: Config, shots: Sequence[Shot]) -> Run:
     """Track shots as `dcgs run` does, without a mapper."""
     record = RunRecord('faults', config.ablation)
-    pipeline = Pipeline(Tracker(camera, config), NoMapping(), None, online=False)
+    tracker, mapping = Tracker(camera, config), NoMapping()
+    closing = ClosingInLockstep(tracker, mapping)
+    pipeline = Pipeline(tracker, mapping, closing, None, online=False)
     pipeline.process([shot.item for shot in shots], record, _Silence(), lambda: False)
     results: list[TrackResult | None] = [None] * len(shots)
     for frame in record.tracked:

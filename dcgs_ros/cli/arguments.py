@@ -135,6 +135,10 @@ class RunArguments(_WithOptions):
     localize: bool = False
     """Only track the camera in the map of --map, and leave the map as it is."""
 
+    loops: bool = True
+    """Recognise places and close loops. With --no-loops no pose is corrected later, as in the
+    paper."""
+
     online: Annotated[
         bool,
         arg(

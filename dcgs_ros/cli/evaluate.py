@@ -99,7 +99,7 @@ def _with_claims(
     _, own, theirs = np.intersect1d(estimate.stamps_ns, frames.stamps_ns, return_indices=True)
     poses = Trajectory(estimate.stamps_ns[own], estimate.T_world_cam[own])
     states = [frames.states[k] for k in theirs]
-    silent = silent_frames(poses, states, frames.sigmas_m[theirs], truth)
+    silent = silent_frames(poses, states, frames.sigmas_m[theirs], truth, frames.worlds[theirs])
     return replace(
         accuracy,
         coverage=coverage(estimate.stamps_ns, frames.all_ns, truth),

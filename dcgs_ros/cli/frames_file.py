@@ -21,9 +21,10 @@ _KAPPAS = ('kappa', 'kappa_without_radius', 'kappa_rotation', 'kappa_translation
 _SKIPPED = 'skipped'  # in place of a state
 _WEAKEST = tuple(f'weakest_{kind}{axis}' for kind in 'tr' for axis in 'xyz')
 COLUMNS = (
-    'index', 'stamp', 'state', 'tracked', 'keyframe', 'points', 'inliers', 'landmarks', 'ms',
-    *_KAPPAS, *_WEAKEST, 'sigma_translation_m', 'sigma_rotation_rad', 'sigma_world_translation_m',
-    'sigma_world_rotation_rad', 'colour_depth_offset_ms', 'gaussians', 'reason',
+    'index', 'stamp', 'state', 'tracked', 'keyframe', 'submap', 'revision', 'points', 'inliers',
+    'landmarks', 'ms', *_KAPPAS, *_WEAKEST, 'sigma_translation_m', 'sigma_rotation_rad',
+    'sigma_world_translation_m', 'sigma_world_rotation_rad', 'colour_depth_offset_ms', 'gaussians',
+    'reason',
 )  # fmt: skip
 
 
@@ -38,12 +39,13 @@ class FrameClaims:
     stamps_ns: NDArray[np.int64]  # (N,)
     states: tuple[TrackingState, ...]
     sigmas_m: NDArray[np.float64]  # (N,)
+    worlds: NDArray[np.int64]  # (N,) poses of different numbers are not in one world
     all_ns: NDArray[np.int64]  # (M,) stamps of all frames that have one, skipped ones included
 
 
 def read_frames(path: Path) -> FrameClaims:
     """Read states and sigmas. Raises `FramesFileError` naming the line that is wrong."""
-    stamps, states, sigmas, skipped = [], [], [], []
+    stamps, states, sigmas, worlds, skipped = [], [], [], [], []
     with path.open(encoding='utf-8', errors='replace', newline='') as file:
         for number, row in enumerate(csv.DictReader(file), start=2):
             try:
@@ -53,10 +55,15 @@ def read_frames(path: Path) -> FrameClaims:
                 states.append(TrackingState(row['state']))
                 stamps.append(parse_stamp_ns(row['stamp']))
                 sigmas.append(float(row['sigma_translation_m']))
+                worlds.append((int(row.get('submap') or 0), int(row.get('revision') or 0)))
             except (KeyError, TypeError, ValueError) as error:
                 raise FramesFileError(f'{path}:{number}: {error}') from None
     all_ns = np.array(sorted(stamps + skipped), np.int64)
-    return FrameClaims(np.array(stamps, np.int64), tuple(states), np.array(sigmas), all_ns)
+    numbers = {world: number for number, world in enumerate(sorted(set(worlds)))}
+    return FrameClaims(
+        np.array(stamps, np.int64), tuple(states), np.array(sigmas),
+        np.array([numbers[world] for world in worlds], np.int64), all_ns,
+    )  # fmt: skip
 
 
 def write_frames(path: Path, record: RunRecord) -> None:
@@ -74,13 +81,15 @@ def write_frames(path: Path, record: RunRecord) -> None:
 
 def _tracked_row(frame: TrackedFrame) -> dict[str, str | int]:
     """Return the columns of a tracked frame; sigmas are square roots of covariance traces."""
-    result, seen = frame.result, frame.result.observability
+    result, seen, reference = frame.result, frame.result.observability, frame.result.reference
     row: dict[str, str | int] = {
         'index': frame.index,
         'stamp': format_stamp_ns(result.stamp_ns),
         'state': result.state.value,
         'tracked': int(result.state is not TrackingState.LOST),
         'keyframe': int(result.keyframe),
+        'submap': 0 if reference is None else reference.submap,
+        'revision': 0 if reference is None else reference.revision,
         'points': result.points,
         'inliers': result.inliers,
         'landmarks': result.landmarks,

@@ -39,6 +39,7 @@ def run_summary(report: dict[str, Any], accuracy: Accuracy, folder: Path) -> str
         ('states', _states(report['states'])),
         *[('warning', text) for text in report['warnings']],
         *accuracy_rows(accuracy),
+        *_loop_rows(report),
         (
             'tracking',
             f'{speed["fps_mean"]:.0f} fps mean; {speed["ms_median"]:.1f} ms median, '
@@ -84,6 +85,21 @@ def accuracy_rows(accuracy: Accuracy) -> list[Row]:
         rows += _nees_rows(accuracy.nees)
     if accuracy.silent is not None:
         rows.append(('silent frames', _silent(accuracy.silent)))
+    return rows
+
+
+def _loop_rows(report: dict[str, Any]) -> list[Row]:
+    """Return what the back end did, and the errors of what was known at the end."""
+    loops, optimized = report['loops'], report['optimized']
+    if loops is None:
+        return []
+    text = f'{loops["closed"]} closed, {loops["corrections"]} corrections of the map'
+    if loops['submaps'] > 1:
+        text += f'; {loops["submaps"]} sub-maps that are not joined'
+    rows = [('loops', text)]
+    if optimized is not None and optimized['ate'] is not None:
+        ate = optimized['ate']
+        rows.append(('ATE at the end', f'{ate["rmse_cm"]:.2f} cm RMSE; {ate["max_cm"]:.2f} max'))
     return rows
 
 

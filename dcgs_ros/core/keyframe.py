@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,23 @@ from .frame import RgbdFrame
 
 
 @dataclass(frozen=True)
+class KeyframePose:
+    """A keyframe by its name, and where it is."""
+
+    stamp_ns: int  # of its colour image: its name between tracker, mapper and back end
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+
+
+@dataclass(frozen=True)
 class PosedFrame:
     """A tracked frame for the mapper to look at: a view between keyframes, or a `Keyframe`."""
 
     frame: RgbdFrame
     T_world_cam: NDArray[np.float64]  # (4, 4) at the colour's instant
     T_cam_cam_at_depth: NDArray[np.float64]  # (4, 4) camera at the depth's instant to colour's
+    # The keyframe that it was placed relative to, and where that was then: if it is corrected
+    # meanwhile, the frame goes with it. None: itself if it is a keyframe, else not known.
+    reference: KeyframePose | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -35,6 +46,21 @@ class Odometry:
 
 
 @dataclass(frozen=True)
+class Sightings:
+    """The corners that a keyframe sees, which are tracked from frame to frame."""
+
+    ids: NDArray[np.int64]  # (L,) of the landmarks
+    rays: NDArray[np.float32]  # (L, 2) undistorted x/z, y/z
+    depths_m: NDArray[np.float32]  # (L,) 0: none
+
+    @classmethod
+    def none(cls) -> Sightings:
+        """Return an empty set."""
+        rays = np.empty((0, 2), np.float32)
+        return cls(np.empty(0, np.int64), rays, rays[:, 0])
+
+
+@dataclass(frozen=True)
 class Keyframe(PosedFrame):
     """A frame that extended the tracker's map, with the Gaussians it spawned."""
 
@@ -42,6 +68,7 @@ class Keyframe(PosedFrame):
     means: NDArray[np.float32]  # (N, 3) metres, world
     normals: NDArray[np.float32]  # (N, 3) unit, world
     odometry: Odometry | None = None  # None: from another process
+    sightings: Sightings | None = None  # None: likewise
 
     def moved(self, motion: NDArray[np.float64]) -> Keyframe:
         """Return it and its Gaussians moved by `motion` (4, 4), in the world."""
@@ -72,3 +99,4 @@ class MapUpdate:
     normals: NDArray[np.float32]  # (N, 3) unit, world: axis of the smallest scale of Sigma_r
     flatness: NDArray[np.float32]  # (N,) lambda3 / lambda2 of Sigma_r
     removed: NDArray[np.int64]  # (R,)
+    revision: int = 0  # of the last correction that the mapper had taken: whose world it is in

@@ -17,7 +17,7 @@ import numpy as np
 
 from .frame import RgbdFrame
 from .kernels.workers import give_way
-from .keyframe import MapUpdate, PosedFrame
+from .keyframe import Correction, MapUpdate, PosedFrame
 from .mapping.mapper import Mapper
 from .tracking.result import TrackResult
 from .tracking.selector import KeyframeSelector
@@ -29,6 +29,10 @@ class MappingMode(Protocol):
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
         """Hand a tracked frame over, and give the tracker the mapper's update if there is one."""
+        ...
+
+    def correct(self, correction: Correction) -> None:
+        """Move the map with its keyframes, once what was handed over before is in it."""
         ...
 
     def advance(self) -> None:
@@ -59,6 +63,12 @@ class _Mode:
         """Have `work` called once, soon, by the thread that drives the mapper."""
         self._asked.put(work)
 
+    def _take(self, news: PosedFrame | Correction) -> None:
+        if isinstance(news, Correction):
+            self._mapper.correct(news)
+        else:
+            self._mapper.insert(news)
+
     def _answer(self) -> None:
         while not self._asked.empty():
             self._asked.get()(self._mapper)
@@ -70,19 +80,23 @@ class Lockstep(_Mode):
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
         """Take a tracker that has not tracked anything yet."""
         super().__init__(tracker, mapper)
-        self._arrived: list[PosedFrame] = []
+        self._arrived: list[PosedFrame | Correction] = []
         self._due = 0.0
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
         """Hand a frame over."""
         self._arrived += self._selector.select(self._tracker.corrected(frame), result)
 
+    def correct(self, correction: Correction) -> None:
+        """Take a correction."""
+        self._arrived.append(correction)
+
     def advance(self) -> None:
         """Insert what arrived, take the steps that are due, and update the tracker."""
         self._answer()
         answer = bool(self._arrived)
-        for posed in self._arrived:
-            self._mapper.insert(posed)
+        for news in self._arrived:
+            self._take(news)
         self._arrived.clear()
         if not self._mapper.views:
             return
@@ -96,8 +110,8 @@ class Lockstep(_Mode):
     def finish(self) -> Iterator[int]:
         """Take the final steps over all views, with falling rates."""
         mapper, config = self._mapper, self._mapper.config
-        for posed in self._tracker.flush():
-            mapper.insert(posed)
+        for news in [*self._arrived, *self._tracker.flush()]:
+            self._take(news)
         left = config.mapping.final_steps if mapper.views else 0
         for rate in np.linspace(1.0, config.rates.final, left):
             mapper.step(float(rate), replay=True)
@@ -112,7 +126,7 @@ class Online(_Mode):
     def __init__(self, tracker: Tracker, mapper: Mapper) -> None:
         """Start the thread; it ends with `finish`, or with the process."""
         super().__init__(tracker, mapper)
-        self._arrived: queue.SimpleQueue[PosedFrame] = queue.SimpleQueue()
+        self._arrived: queue.SimpleQueue[PosedFrame | Correction] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[MapUpdate] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._failure: BaseException | None = None
@@ -128,6 +142,10 @@ class Online(_Mode):
         if not self._answers.empty():
             self._tracker.apply(self._answers.get())
 
+    def correct(self, correction: Correction) -> None:
+        """Hand a correction over."""
+        self._arrived.put(correction)
+
     def advance(self) -> None:
         """Do nothing: the mapper is at work."""
 
@@ -141,7 +159,7 @@ class Online(_Mode):
             while not self._stop.is_set():
                 self._answer()
                 if not self._arrived.empty():
-                    self._mapper.insert(self._arrived.get())
+                    self._take(self._arrived.get())
                     self._answers.put(self._mapper.update())
                 elif self._mapper.views:
                     self._mapper.step()
@@ -159,5 +177,5 @@ class Online(_Mode):
         for posed in self._tracker.flush():
             self._arrived.put(posed)
         while not self._arrived.empty():
-            self._mapper.insert(self._arrived.get())
+            self._take(self._arrived.get())
         return iter(())

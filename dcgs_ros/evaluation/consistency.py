@@ -17,6 +17,7 @@ from scipy.special import gammaincinv
 
 from ..core import se3
 from ..core.tracking.result import TrackingState, TrackResult
+from ..core.tracking.visited import origin
 from ..core.trajectory import Trajectory
 from .trajectory import MAX_GAP_NS, EvaluationError, nearest
 
@@ -34,6 +35,8 @@ class Claims:
     states: tuple[TrackingState, ...]
     covariances: NDArray[np.float64]  # (N, 6, 6) in the map around the camera
     world_covariances: NDArray[np.float64]  # (N, 6, 6)
+    submaps: NDArray[np.int32]  # (N,)
+    uncorrected: Trajectory  # (N,) the poses without the steps that corrections of the map make
 
     @classmethod
     def of(cls, results: Sequence[TrackResult]) -> Claims:
@@ -49,12 +52,26 @@ class Claims:
             for name, n in (('T_world_cam', 4), ('covariance', 6), ('covariance_world', 6))
         )
         states = tuple(result.state for result in results)
-        return cls(Trajectory(stamps, poses), states, covariances, world)
+        references = [result.reference for result in results]
+        submaps = np.array([0 if r is None else r.submap for r in references], np.int32)
+        before = [np.eye(4) if r is None else r.T_uncorrected_world for r in references]
+        uncorrected = Trajectory(stamps, np.array(before).reshape(-1, 4, 4) @ poses)
+        return cls(Trajectory(stamps, poses), states, covariances, world, submaps, uncorrected)
 
     @property
     def estimated(self) -> NDArray[np.bool_]:
         """(N,) which frames have an estimated pose: all but lost ones."""
         return np.array([state is not TrackingState.LOST for state in self.states], np.bool_)
+
+    @property
+    def main_submap(self) -> int:
+        """The sub-map with the most estimated frames, the first of equals."""
+        return int(np.bincount(self.submaps[self.estimated], minlength=1).argmax())
+
+    @property
+    def in_map(self) -> NDArray[np.bool_]:
+        """(N,) which frames have an estimated pose in the main sub-map."""
+        return self.estimated & (self.submaps == self.main_submap)
 
     @property
     def sigmas_m(self) -> NDArray[np.float64]:
@@ -66,10 +83,13 @@ class Claims:
         """(N,) the same, in the world."""
         return _position_sigmas_m(self.world_covariances)
 
-    def trajectory(self) -> Trajectory:
-        """Return the estimated poses."""
-        kept = self.estimated
-        return Trajectory(self.poses.stamps_ns[kept], self.poses.T_world_cam[kept])
+    def trajectory(self, submap: int | None = None) -> Trajectory:
+        """Return the estimated poses in a sub-map, by default the main one."""
+        submap = self.main_submap if submap is None else submap
+        kept = self.estimated & (self.submaps == submap)
+        poses = self.poses.T_world_cam[kept]
+        poses[:, :3, 3] -= origin(submap)
+        return Trajectory(self.poses.stamps_ns[kept], poses)
 
 
 @dataclass(frozen=True)
@@ -130,14 +150,16 @@ def motion_nees(
     states: Sequence[TrackingState],
     covariances: NDArray[np.floating],
     truth: Trajectory,
+    worlds: NDArray[np.integer] | None = None,
 ) -> MotionNees:
     """Return the NEES of the motions over 1 s, one for each frame that ends one.
 
-    `estimate` and `states` are of all N frames, `covariances` (N, 6, 6) in m and rad. Motions with
-    a lost frame at an end or between are left out, as are those without truth within 20 ms of
+    `estimate` and `states` are of all N frames, `covariances` (N, 6, 6) in m and rad, and `worlds`
+    (N,) tell in which world each pose is, by default the same. Motions with a lost frame at an end
+    or between are left out, as are those between worlds, and those without truth within 20 ms of
     either end. Raises `EvaluationError` if none is left.
     """
-    motions, stamps = _motions(estimate, states, truth), estimate.stamps_ns
+    motions, stamps = _motions(estimate, states, truth, worlds), estimate.stamps_ns
     lost = np.cumsum([state is TrackingState.LOST for state in states])
     interval = stamps[motions.end] - stamps[motions.start]
     kept = np.abs(interval - INTERVAL_NS) <= MAX_GAP_NS
@@ -162,16 +184,18 @@ def silent_frames(
     states: Sequence[TrackingState],
     sigmas_m: NDArray[np.floating],
     truth: Trajectory,
+    worlds: NDArray[np.integer] | None = None,
 ) -> SilentFrames:
     """Return which frames are silent.
 
     `estimate` and `states` are of all N frames; `sigmas_m` (N,) are square roots of the trace of
     the claimed covariance of the translation. Where the frame of a second before is lost or
     missing, the motion since the last tracked one before it counts: a camera that is found in the
-    wrong place would otherwise never be noticed. Frames of the first second, and those without
-    truth within 20 ms of either end, are not judged.
+    wrong place would otherwise never be noticed. Frames of the first second, those whose motion is
+    between two of the `worlds` (N,), by default one, and those without truth within 20 ms of
+    either end, are not judged.
     """
-    motions = _motions(estimate, states, truth)
+    motions = _motions(estimate, states, truth, worlds)
     errors_m = np.full(len(estimate), np.nan)
     errors_m[motions.end] = np.linalg.norm(motions.error[:, :3, 3], axis=1)
     sure = np.array([state is TrackingState.OK for state in states], np.bool_)
@@ -209,7 +233,12 @@ def _position_sigmas_m(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.sqrt(variances)
 
 
-def _motions(estimate: Trajectory, states: Sequence[TrackingState], truth: Trajectory) -> _Motions:
+def _motions(
+    estimate: Trajectory,
+    states: Sequence[TrackingState],
+    truth: Trajectory,
+    worlds: NDArray[np.integer] | None,
+) -> _Motions:
     """Pair each frame that is not lost with the one of a second before; both have truth.
 
     That is the tracked frame nearest to a second before, within 20 ms, else the last before it.
@@ -224,7 +253,10 @@ def _motions(estimate: Trajectory, states: Sequence[TrackingState], truth: Traje
     start = np.where(gap <= MAX_GAP_NS, close, np.searchsorted(stamps, wanted, 'right') - 1)
     j, gap = nearest(stamps, truth.stamps_ns)
     known = gap <= MAX_GAP_NS
-    end = np.flatnonzero((start >= 0) & known & known[start])
+    within = np.ones(len(frames), np.bool_)
+    if worlds is not None:
+        within = worlds[frames] == worlds[frames][start]
+    end = np.flatnonzero((start >= 0) & known & known[start] & within)
     start = start[end]
     moved, moved_truly = (
         se3.inverse(poses[start]) @ poses[end]

@@ -15,6 +15,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ..core import se3
 from ..core.tracking.result import TrackingState
 from ..core.trajectory import Trajectory
 from .consistency import Claims
@@ -24,6 +25,8 @@ from .trajectory import AteResult, absolute_trajectory_error
 _PATH_COLOR = '#1f5fa8'
 _TRUTH_COLOR = '0.55'
 _CLAIM_COLOR = '#e07b00'
+_OPTIMIZED_COLOR = '#111111'
+_LOOP_COLOR = '#2a9d3f'
 _STATE_COLORS = {
     TrackingState.DEGENERATE: '#d4a200',
     TrackingState.LOST: '#c0392b',
@@ -44,13 +47,20 @@ class _Orthographic(NamedTuple):
 
 
 def plot_trajectory(
-    path: Path | str, claims: Claims, truth: Trajectory | None = None, title: str = ''
+    path: Path | str,
+    claims: Claims,
+    truth: Trajectory | None = None,
+    title: str = '',
+    optimized: Trajectory | None = None,
+    loops: NDArray[np.float64] | None = None,
 ) -> AteResult | None:
     """Plot the path from above and from the side, and error and claims over time, as a PNG.
 
     States other than `ok` are marked. Lost frames, of which there is no estimate, leave a gap in
     the path. With `truth` the estimate is aligned to it and coloured by its error, and the ATE is
-    returned. At least one frame is not lost. Raises `EvaluationError` as
+    returned. The path as `optimized` at the end, and the `loops` (L, 2, 3) that were closed, both
+    in the world of the estimate, are drawn where there are loops. At least one frame is not lost.
+    Raises `EvaluationError` as
     `absolute_trajectory_error` does.
     """
     estimate = claims.trajectory()
@@ -63,6 +73,11 @@ def plot_trajectory(
     poses = estimate.T_world_cam if ate is None else ate.T_truth_estimate @ estimate.T_world_cam
     for ax, view in zip(axes, _views(poses), strict=True):
         _draw_view(ax, view, poses, claims, truth, ate)
+        if optimized is not None and loops is not None and len(loops):
+            T = np.eye(4) if ate is None else ate.T_truth_estimate
+            _draw_loops(
+                ax, view, T @ optimized.T_world_cam, se3.transform(T, loops.reshape(-1, 3))
+            )
     if ate:
         figure.colorbar(axes[1].collections[0], ax=axes[1], label='error (cm)', shrink=0.8)
     axes[0].legend(loc='best', fontsize=8, framealpha=0.8)
@@ -125,9 +140,22 @@ def _draw_view(
     ax.grid(alpha=0.25)
 
 
+def _draw_loops(
+    ax: Axes, view: _Orthographic, poses: NDArray[np.float64], ends: NDArray[np.floating]
+) -> None:
+    """Draw the optimised path (N, 4, 4), and the loops by their ends (2 L, 3)."""
+    flat, pairs = poses[:, [view.right, view.up], 3], ends[:, [view.right, view.up]]
+    ax.plot(*flat.T, color=_OPTIMIZED_COLOR, linewidth=0.9, label='optimised', zorder=3)
+    lines = LineCollection(
+        list(pairs.reshape(-1, 2, 2)), colors=_LOOP_COLOR, linewidth=0.8, zorder=2,
+        label=f'loops ({len(pairs) // 2})',
+    )  # fmt: skip
+    ax.add_collection(lines)
+
+
 def _mark_states(ax: Axes, flat: NDArray[np.float64], claims: Claims) -> None:
     """Draw a dot at each frame that is not `ok`, and a cross where the camera was lost."""
-    place = np.maximum(np.cumsum(claims.estimated) - 1, 0)  # of lost frames: of the last estimate
+    place = np.maximum(np.cumsum(claims.in_map) - 1, 0)  # of lost frames: of the last estimate
     for state, color in _STATE_COLORS.items():
         frames = [k for k, found in enumerate(claims.states) if found is state]
         if not frames:
@@ -161,7 +189,7 @@ def _colored_path(flat: NDArray[np.float64], claims: Claims, ate: AteResult) -> 
 def _draw_over_time(ax: Axes, claims: Claims, ate: AteResult | None) -> None:
     """Plot the error of each pose, what is claimed of it, and the states, over time."""
     stamps = claims.poses.stamps_ns
-    kept = claims.estimated
+    kept = claims.in_map
     band_cm = 100 * _SIGMAS * claims.world_sigmas_m[kept]
     top_cm = float(band_cm.max())
     if ate is not None:
@@ -217,5 +245,5 @@ def _broken(
 
 def _lost_between(claims: Claims, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return (N - 1,) whether the camera was lost between two of the stamps (N,)."""
-    lost_ns = claims.poses.stamps_ns[~claims.estimated]
+    lost_ns = claims.poses.stamps_ns[~claims.in_map]
     return np.diff(np.searchsorted(lost_ns, stamps_ns)) > 0

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.tracking.result import TrackResult
+from ..core.tracking.result import TrackingState, TrackResult
+from ..core.tracking.visited import origin
 from ..core.trajectory import Trajectory
 from .consistency import (
     Claims,
@@ -56,6 +57,16 @@ class SkippedFrame:
     dropped: bool = False  # a newer frame arrived before the tracker was free
 
 
+@dataclass(frozen=True)
+class FinalMap:
+    """What the back end made of the first K of a run's keyframes, by its end."""
+
+    T_world_cam: NDArray[np.float64]  # (K, 4, 4)
+    T_mapped: NDArray[np.float64]  # (K, 4, 4) with which the map was made
+    submaps: NDArray[np.int32]  # (K,) those that were joined have one number
+    loops: list[tuple[int, int]]  # pairs of keyframes between which a loop was closed
+
+
 @dataclass
 class RunRecord:
     """What happened in a run, frame by frame."""
@@ -77,10 +88,51 @@ class RunRecord:
     gaussians: int | None = None  # in the mapper's map at the end; None: the run only tracked
     iterations: int = 0  # optimisation steps of the mapper
     mapping_s: float = 0.0  # time of the mapper alone
+    closing_s: float = 0.0  # time of the back end, where it has no thread
+    final: FinalMap | None = None  # None: there was no back end
 
     def trajectory(self) -> Trajectory:
-        """Return the poses of all frames but lost ones, whose pose is no estimate."""
+        """Return the poses as they were known live, in the sub-map with the most frames.
+
+        Lost frames, whose pose is no estimate, are left out.
+        """
         return self.claims().trajectory()
+
+    def optimized(self) -> Trajectory | None:
+        """Return the poses by what the run knew at its end, in the sub-map with the most frames.
+
+        Each frame stays where it was relative to its keyframe, which may have moved. None where
+        there was no back end.
+        """
+        return None if self.final is None else self._placed(self.final, self.final.T_world_cam)
+
+    def mapped(self) -> Trajectory:
+        """Return the poses in the map as it was made, corrections included."""
+        if self.final is None:
+            return self.trajectory()
+        return self._placed(self.final, self.final.T_mapped)
+
+    def _placed(self, final: FinalMap, T_world_keyframe: NDArray[np.float64]) -> Trajectory:
+        frames = [f.result for f in self.tracked if f.result.state is not TrackingState.LOST]
+        placed = [(r.stamp_ns, r.reference) for r in frames if r.reference is not None]
+        submaps = final.submaps[[reference.keyframe for _, reference in placed]]
+        main = int(np.bincount(submaps, minlength=1).argmax())
+        poses = {
+            stamp_ns: T_world_keyframe[reference.keyframe] @ reference.T_keyframe_cam
+            for (stamp_ns, reference), submap in zip(placed, submaps, strict=True)
+            if submap == main
+        }
+        stamps = sorted(poses)
+        T_world_cam = np.array([poses[stamp_ns] for stamp_ns in stamps]).reshape(-1, 4, 4)
+        T_world_cam[:, :3, 3] -= origin(main)
+        return Trajectory(np.array(stamps, np.int64), T_world_cam)
+
+    def loop_ends(self) -> NDArray[np.float64]:
+        """Return both ends (L, 2, 3) of the loops, where the keyframes are at the end, metres."""
+        if self.final is None:
+            return np.empty((0, 2, 3))
+        pairs = np.array(self.final.loops, np.int64).reshape(-1, 2)
+        return self.final.T_world_cam[pairs][:, :, :3, 3]
 
     def claims(self) -> Claims:
         """Return what the tracker says of each frame."""
@@ -93,9 +145,9 @@ class RunRecord:
         return np.array(sorted(stamps), dtype=np.int64)
 
     def keyframes(self) -> Trajectory:
-        """Return the poses of the keyframes as they were tracked."""
+        """Return the poses of the same sub-map's keyframes as they were tracked."""
         keyframes = [frame.result for frame in self.tracked if frame.result.keyframe]
-        return Claims.of(keyframes).poses
+        return Claims.of(keyframes).trajectory(self.claims().main_submap)
 
 
 _NO_TRUTH = 'there is no ground truth'
@@ -110,6 +162,7 @@ class Accuracy:
     coverage: float | None = None  # share of the frames with truth that the ATE is over
     nees: MotionNees | None = None
     silent: SilentFrames | None = None
+    optimized: Accuracy | None = None  # ATE and RPE of the trajectory as known at the end
     why_no_ate: str = _NO_TRUTH
     why_no_rpe: str = _NO_TRUTH
     why_no_nees: str = _NO_TRUTH
@@ -134,14 +187,17 @@ def assess_run(record: RunRecord, truth: Trajectory | None) -> Accuracy:
     accuracy, claims = assess(record.trajectory(), truth), record.claims()
     if truth is None:
         return accuracy
-    silent = silent_frames(claims.poses, claims.states, claims.sigmas_m, truth)
+    poses, states, submaps = claims.uncorrected, claims.states, claims.submaps
+    silent = silent_frames(poses, states, claims.sigmas_m, truth, submaps)
+    optimized = record.optimized()
     accuracy = replace(
         accuracy,
+        optimized=None if optimized is None else assess(optimized, truth),
         coverage=coverage(record.trajectory().stamps_ns, record.stamps_ns(), truth),
         silent=silent if silent.judged.any() else None,
     )
     try:
-        nees = motion_nees(claims.poses, claims.states, claims.covariances, truth)
+        nees = motion_nees(poses, states, claims.covariances, truth, submaps)
     except EvaluationError as error:
         return replace(accuracy, why_no_nees=str(error))
     return replace(accuracy, nees=nees)
@@ -159,6 +215,8 @@ def build_report(
     `realtime_factor` is the duration of the sequence over it. `wall_s` covers all from the command
     to the last file: the start, the steps after the last frame, writing and scoring too.
     `iterations_per_s` is over the mapper's own time. `rendering` is None until `with_rendering`.
+    `optimized` has the errors of the trajectory as it was known at the end, `ate` and the other
+    errors are of what was known live; both are None without a back end, as `loops` is.
     `warnings` are lines for the user: what was repaired or left out of the sequence, and what
     speaks against the unit of its depth.
     """
@@ -185,6 +243,8 @@ def build_report(
         'states': states,
         'tracking': _speed(record),
         **accuracy_report(accuracy),
+        'loops': _loops(record),
+        'optimized': None if accuracy.optimized is None else _errors(accuracy.optimized),
         'mapping': _mapping(record),
         'rendering': None,
         'timing': {'colour_depth_offset_ms': last.result.colour_depth_offset_ms},
@@ -209,17 +269,38 @@ def with_rendering(report: dict[str, Any], scores: Sequence[ViewScores]) -> dict
 
 def accuracy_report(accuracy: Accuracy) -> dict[str, Any]:
     """Return the parts `ate`, `rpe_1s`, `nees` and `silent_frames` of a report."""
+    errors = _errors(accuracy)
+    if errors['ate'] is not None:
+        errors['ate']['coverage'] = accuracy.coverage
+    return {
+        **errors,
+        'nees': None if accuracy.nees is None else _nees(accuracy.nees),
+        'silent_frames': None if accuracy.silent is None else accuracy.silent.count,
+    }
+
+
+def _errors(accuracy: Accuracy) -> dict[str, Any]:
+    """Return `ate` and `rpe_1s`."""
     ate, rpe = accuracy.ate, accuracy.rpe_1s
     keys = ('rmse_cm', 'mean_cm', 'median_cm', 'max_cm')
     return {
-        'ate': None
-        if ate is None
-        else {key: getattr(ate, key) for key in keys} | {'coverage': accuracy.coverage},
+        'ate': None if ate is None else {key: getattr(ate, key) for key in keys},
         'rpe_1s': None
         if rpe is None
         else {'trans_rmse_cm': rpe.trans_rmse_cm, 'rot_rmse_deg': rpe.rot_rmse_deg},
-        'nees': None if accuracy.nees is None else _nees(accuracy.nees),
-        'silent_frames': None if accuracy.silent is None else accuracy.silent.count,
+    }
+
+
+def _loops(record: RunRecord) -> dict[str, Any] | None:
+    """Return how many loops were closed, how often the map was corrected, and its sub-maps."""
+    if record.final is None:
+        return None
+    references = [frame.result.reference for frame in record.tracked]
+    return {
+        'closed': len(record.final.loops),
+        'corrections': len({r.revision for r in references if r is not None and r.revision}),
+        'submaps': len(np.unique(record.final.submaps)),
+        'seconds': record.closing_s,
     }
 
 

@@ -22,7 +22,7 @@ from .map_parts import MapFileError as MapFileError
 from .map_parts import check, check_finite, check_keyframes, check_unique, part, read_camera
 from .saved_tracker import SavedTracker
 from .sessions import SESSIONS_NAME, SavedSession, read_sessions, write_sessions
-from .tracker_map import read_settings, up_to_date
+from .tracker_map import color_name, depth_name, read_settings, up_to_date
 
 # Fields of `SavedMap` that are arrays of the same name in the file.
 _ARRAYS = (
@@ -153,8 +153,8 @@ def write_map(path: Path | str, saved: SavedMap) -> None:
     arrays |= saved.tracker.parts
     blobs = {SESSIONS_NAME: write_sessions(saved.sessions)}
     for index, keyframe in enumerate(keyframes):
-        blobs[_color_name(index)] = keyframe.color_jpeg
-        blobs[_depth_name(index)] = keyframe.depth_png
+        blobs[color_name(index)] = keyframe.color_jpeg
+        blobs[depth_name(index)] = keyframe.depth_png
     metadata = {
         'camera': dataclasses.asdict(saved.camera),
         'config': flatten(saved.config),
@@ -211,16 +211,8 @@ def _keyframes(archive: Archive) -> tuple[SavedKeyframe, ...]:
     return tuple(
         SavedKeyframe(
             int(stamps[k]), tracked[k], poses[k], exposures[k],
-            part(archive.blobs, _color_name(k)), part(archive.blobs, _depth_name(k)),
+            part(archive.blobs, color_name(k)), part(archive.blobs, depth_name(k)),
             int(numbers[k]), int(visits[k]),
         )
         for k in range(n)
     )  # fmt: skip
-
-
-def _color_name(keyframe: int) -> str:
-    return f'color_{keyframe:06d}.jpg'
-
-
-def _depth_name(keyframe: int) -> str:
-    return f'depth_{keyframe:06d}.png'

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ from ..core.camera import PinholeCamera
 from ..core.config.schema import flatten, override
 from ..core.config.stages import Config
 from ..core.errors import DcgsError
+from ..core.sensor import SensorNoise
 from ..core.tracking.tracker import Tracker
 from .archive import Archive, ArchiveError, read_archive, write_archive
+from .known_places import EncodedImages
 from .map_parts import MapFileError, part, read_camera
 from .map_version_1 import upgraded
 from .saved_tracker import SavedTracker
@@ -51,6 +54,8 @@ class TrackerMap:
     camera: PinholeCamera
     tracker: SavedTracker
     sessions: tuple[SavedSession, ...]
+    sensor: SensorNoise  # of the last session
+    images: tuple[EncodedImages, ...]  # of the keyframes that have some
 
 
 def write_tracker_map(
@@ -86,11 +91,31 @@ def read_tracker_map(path: Path | str) -> TrackerMap:
             read_camera(part(archive.metadata, 'camera')),
             SavedTracker.from_parts(archive.arrays, part(archive.metadata, 'next_id')),
             read_sessions(part(archive.blobs, SESSIONS_NAME)),
+            read_settings(archive).sensor,
+            tuple(_images(archive)),
         )
     except ArchiveError as error:
         raise MapFileError(str(error)) from error
     except DcgsError as error:
         raise MapFileError(f'{path}: {error}') from error
+
+
+def _images(archive: Archive) -> Iterator[EncodedImages]:
+    for view, keyframe in enumerate(part(archive.arrays, 'keyframe_numbers').ravel().tolist()):
+        if keyframe >= 0:
+            names = color_name(view), depth_name(view)
+            color, depth = (part(archive.blobs, name) for name in names)
+            yield keyframe, color, depth
+
+
+def color_name(view: int) -> str:
+    """Return the name of the colour image of one of the mapper's views."""
+    return f'color_{view:06d}.jpg'
+
+
+def depth_name(view: int) -> str:
+    """Return the name of the depth image of one of the mapper's views."""
+    return f'depth_{view:06d}.png'
 
 
 def read_settings(archive: Archive) -> Config:

@@ -16,12 +16,14 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 
 from ..core.config.nodes import MapperSettings, core_config
 from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.kernels.workers import give_way
+from ..core.keyframe import Correction
 from ..core.mapping.warmup import warm_up_with_mapper
 from ..core.tracking.warmup import ANY_CAMERA
 from ..io.ros_images import stamp_ns
@@ -30,12 +32,13 @@ from .lifetime import Worker, run
 from .mapping.keyframe_subscriber import KeyframeSubscriber
 from .mapping.outputs import MapOutputs
 from .mapping.session import MappingSession
+from .messages.corrections import read_correction
 from .messages.keyframes import read_keyframe
 from .messages.poses import matrix
 from .parameters import Parameters
 from .reporter import Reporter
 from .services import answered, offer, refused
-from .transport import RELIABLE
+from .transport import RELIABLE, latched
 
 _PAUSE_S = 0.01
 _AFTER_RESET = 'the map is empty; keyframes that the tracker keeps come again'
@@ -68,6 +71,7 @@ class MapperNode(Node):
         self._pose: PoseStamped | None = None  # latest of the camera
         self._ready = False
         self.create_subscription(PoseStamped, 'camera_pose', self._on_pose, RELIABLE)
+        self.create_subscription(PointCloud2, 'keyframe_poses', self._on_poses, latched(1))
         offer(self, '~/save_map', lambda: self._when_ready(self._save))
         offer(self, '~/load_map', lambda: self._when_ready(self._load))
         offer(self, '~/reset', self._on_reset)
@@ -75,6 +79,14 @@ class MapperNode(Node):
 
     def _on_pose(self, pose: PoseStamped) -> None:
         self._pose = pose
+
+    def _on_poses(self, cloud: PointCloud2) -> None:
+        try:
+            epoch, correction = read_correction(cloud)
+        except DcgsError as error:
+            self._warn(f'corrected poses refused: {error}')
+            return
+        self._queue.submit(lambda: self._correct(correction, epoch))
 
     def _when_ready(self, work: Callable[[], str]) -> Future[str]:
         return self._queue.submit(work) if self._ready else refused(LOADING.message)
@@ -153,6 +165,11 @@ class MapperNode(Node):
             self._outputs.world = parts['pose'].header.frame_id or self._outputs.world
             self._outputs.answer(update, packet.stamp_ns)
         self._outputs.keyframes(self._session.mapper)
+
+    def _correct(self, correction: Correction, epoch: int) -> None:
+        """Move the map; its changes are published when they are due."""
+        if self._session.correct(correction, epoch):
+            self._outputs.keyframes(self._session.mapper)
 
     def _render(self, pose: PoseStamped) -> None:
         """Publish the map as seen from the tracker's camera."""

@@ -18,7 +18,7 @@ from ..core.config.nodes import TrackerSettings, core_config
 from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
-from ..core.keyframe import MapUpdate
+from ..core.keyframe import Correction, MapUpdate
 from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
 from .health import LOADING, Verdict
@@ -26,6 +26,7 @@ from .lifetime import Worker, run
 from .parameters import Parameters
 from .reporter import Reporter
 from .services import answered, offer, refused
+from .tracking.back_end import make_loops
 from .tracking.camera_subscriber import CameraSubscriber
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
@@ -38,7 +39,7 @@ from .tracking.pairing import ImagePair
 from .tracking.session import TrackingSession
 
 _AFTER_RESET = 'the next frame begins a new map'
-_FIXED = ('sensor', 'timing', 'ablation', 'shared_klt_weight', 'threads', 'node')
+_FIXED = ('sensor', 'timing', 'ablation', 'shared_klt_weight', 'threads', 'backend', 'node')
 
 
 class TrackerNode(Node):
@@ -61,7 +62,10 @@ class TrackerNode(Node):
         self._known = KnownMap.read(Path(node_settings.map)) if node_settings.map else None
         if localizes and self._known is None:
             raise DcgsError('node.mode is localization, but node.map names no map')
-        self._session = TrackingSession(core_config(settings), np.eye(4), self._warn, localizes)
+        self._loops = make_loops(settings, self._on_correction, self._warn)
+        self._session = TrackingSession(
+            core_config(settings), np.eye(4), self._warn, self._loops, localizes
+        )
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
         self._sender = KeyframeSender(publisher, memory_mb, self._session.alive)
@@ -77,6 +81,15 @@ class TrackerNode(Node):
     def _on_answer(self, update: MapUpdate, epoch: int) -> None:
         self._camera.queue.submit(lambda: self._session.apply(update, epoch))
 
+    def _on_correction(self, correction: Correction, epoch: int) -> None:
+        self._camera.queue.submit(lambda: self._correct(correction, epoch))
+
+    def _correct(self, correction: Correction, epoch: int) -> None:
+        """Move the map between two frames, and tell the mapper."""
+        corrected = self._session.correct(correction, epoch)
+        if corrected is not None:
+            self._outputs.correct(corrected, epoch)
+
     def _on_reset(self) -> Future[str]:
         done = self._camera.queue.submit(self._reset)
         return done if self._ready else answered(_AFTER_RESET)
@@ -91,7 +104,8 @@ class TrackerNode(Node):
         return self._camera.queue.submit(work) if self._ready else refused(LOADING.message)
 
     def _save(self) -> str:
-        before = self._known.sessions if self._known is not None else ()
+        known = self._session.known
+        before = known.sessions if isinstance(known, KnownMap) else ()
         folder = Path(self._params.settings.node.save_folder)
         return save(self._session.tracker, folder, before)
 
@@ -160,6 +174,8 @@ class TrackerNode(Node):
             self._sender.forget()
         if result.state is not TrackingState.LOST:
             self._outputs.publish(result, to_base)
+        elif session.searching:
+            self._outputs.lose()
         for packet in session.packets(frame, result, camera_frame):
             self._sender.put(packet)
 
@@ -177,7 +193,7 @@ class TrackerNode(Node):
             )  # fmt: skip
         values = {
             'ms': session.ms, **self._camera.figures(), **session.counts,
-            **self._sender.figures(), **session.figures(),
+            **self._sender.figures(), **session.figures(), **self._loops.figures(),
         }  # fmt: skip
         return verdict, values
 
@@ -189,6 +205,7 @@ class TrackerNode(Node):
         else:  # it is loading kernels
             self._worker.leave()
         self._sender.close()
+        self._loops.close()
         written = self._outputs.close()
         if written is not None:
             self.get_logger().info(written)

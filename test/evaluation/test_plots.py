@@ -31,7 +31,8 @@ def a_walk(states: list[TrackingState]) -> Claims:
     )
     covariances = np.tile(np.diag([SIGMA_M**2, 0, 0, 0, 0, 0]), (count, 1, 1))
     stamps = FRAME_NS * np.arange(count, dtype=np.int64)
-    return Claims(Trajectory(stamps, poses), tuple(states), 4 * covariances, covariances)
+    path, one_map = Trajectory(stamps, poses), np.zeros(count, np.int32)
+    return Claims(path, tuple(states), 4 * covariances, covariances, one_map, path)
 
 
 @pytest.fixture

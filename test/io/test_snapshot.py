@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -15,14 +16,17 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.keyframe import Correction
 from dcgs_ros.core.mapping.mapper import Mapper
-from dcgs_ros.core.mapping.rectification import Images
+from dcgs_ros.core.mapping.rectification import DEPTH_UNIT_M, Images
 from dcgs_ros.core.mapping.splats import Splats
 from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of, places_of
 from dcgs_ros.io.map_archive import MapFileError, SavedMap, read_map, write_map
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.io.snapshot import as_hosts_saw, restore_mapper, saved_map
@@ -242,3 +246,38 @@ def test_a_tracker_saved_and_resumed_has_the_same_map() -> None:
     assert expected is not None and found is not None
     np.testing.assert_array_equal(found.T_host_cam, expected.T_host_cam)
     np.testing.assert_array_equal(found.hosts, expected.hosts)
+
+
+def test_a_restored_map_moves_with_its_keyframes() -> None:
+    """Also after a correction that names the keyframes of the sessions before."""
+    mapper, workers = mapper_with(), Workers(1)
+    saved = saved_map(mapper, None)
+    again = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
+    restore_mapper(again, saved)
+    motion = se3.exp(np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.2]))
+    stamps, poses = saved.tracker.stamps_ns, saved.tracker.poses
+    count = len(stamps)
+    moved = Correction(
+        1, stamps, motion @ poses, np.zeros((count, 6, 6)), np.zeros(count, np.int32)
+    )
+    assert again.correct(moved) == count
+    expected = se3.transform(motion, saved.splats.means.T)
+    np.testing.assert_allclose(again.table.splats.means.T, expected, atol=1e-4)
+
+
+def test_places_of_a_map_are_known_again() -> None:
+    assert VIEW_DEPTH_UNIT_M == DEPTH_UNIT_M
+    source = SyntheticSource.from_address('synthetic:room?frames=2')
+    config = Config(sensor=source.sensor)
+    frame = next(iter(source))
+    assert isinstance(frame, RgbdFrame)
+    color = cv2.imencode('.jpg', frame.color[..., ::-1])[1].tobytes()
+    depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
+    png = cv2.imencode('.png', depth)[1].tobytes()
+    useless = [(0, b'', b''), (1, b'no', b'image'), (2, color, png[:50]), (3, color, color)]
+    features = features_of([*useless, (7, color, png)], source.camera, source.sensor)
+    assert [keyframe for keyframe, _ in features] == [7]
+    places = places_of(features, source.camera, config)
+    assert places is not None and places_of([], source.camera, config) is None
+    keyframe, T = places.recognise(frame)[0]
+    assert keyframe == 7 and np.linalg.norm(se3.log(T)) < 0.02

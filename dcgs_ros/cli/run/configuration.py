@@ -13,7 +13,7 @@ from ..arguments import RunArguments
 
 
 def configure(sensor: SensorNoise, arguments: RunArguments) -> Config:
-    """Apply --quality, --online, --config, --ablation and --set, each overriding those before.
+    """Apply --quality, --online, --config, --ablation, --no-loops and --set, in this order.
 
     Raises `ConfigError` for an unknown setting or a value that it cannot have.
     """
@@ -24,6 +24,8 @@ def configure(sensor: SensorNoise, arguments: RunArguments) -> Config:
         config = apply_file(config, arguments.config)
     if arguments.ablation is not None:
         config = override(config, {'ablation': arguments.ablation})
+    if not arguments.loops:
+        config = override(config, {'backend.loops': False})
     texts = [text for group in arguments.settings for text in group]
     return override(config, dict(_key_and_value(text) for text in texts))
 

@@ -25,12 +25,22 @@ def write_tracks(folder: Path, record: RunRecord, config: Config) -> None:
     write_config(folder / 'config.yaml', config)
 
 
+def write_optimized(folder: Path, record: RunRecord) -> None:
+    """Write the trajectory as it is known at the end, if there was a back end."""
+    optimized = record.optimized()
+    if optimized is not None:
+        write_tum(folder / 'trajectory_optimized.tum', optimized)
+
+
 def write_plot(folder: Path, record: RunRecord, truth: Trajectory | None) -> None:
     """Draw the trajectory, aligned to the ground truth if there is one to compare with."""
     from ...evaluation.plots import plot_trajectory  # imports matplotlib, which is slow to load
 
     title = f'{record.source}, {record.ablation}'
-    plot_trajectory(folder / 'trajectory.png', record.claims(), truth, title)
+    optimized = record.optimized()
+    plot_trajectory(
+        folder / 'trajectory.png', record.claims(), truth, title, optimized, record.loop_ends()
+    )
 
 
 def write_report(folder: Path, report: dict[str, Any]) -> None:

@@ -11,11 +11,14 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from ...core.backend.places import Places
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import FrameError
 from ...core.frame import RgbdFrame
 from ...core.kernels.workers import Workers
+from ...core.keyframe import Correction
+from ...core.loop_closing import ClosingInLockstep, ClosingMode, ClosingOnline, NoClosing
 from ...core.mapping.mapper import Mapper
 from ...core.mapping.warmup import warm_up_with_mapper
 from ...core.slam import Lockstep, MappingMode, Online
@@ -23,7 +26,8 @@ from ...core.tracking.result import TrackResult
 from ...core.tracking.tracker import Tracker
 from ...core.tracking.warmup import warm_up
 from ...datasets.source import BadFrame
-from ...evaluation.report import RunRecord, SkippedFrame, TrackedFrame
+from ...evaluation.report import FinalMap, RunRecord, SkippedFrame, TrackedFrame
+from ...io.known_places import features_of, places_of
 from ...io.map_archive import SavedMap
 from ...io.sessions import SavedSession
 from ...io.snapshot import restore_mapper
@@ -54,13 +58,24 @@ def start(
     if known is not None:
         known.tracker.resume(tracker, known.camera)
         tracker.localize_only = localize
-    if not mapping:
-        return Pipeline(tracker, NoMapping(), None, online)
-    mapper = Mapper(camera, config, workers=workers)
+    mapper = Mapper(camera, config, workers=workers) if mapping else None
+    mode: MappingMode = NoMapping()
+    if mapper is not None:
+        if known is not None:
+            restore_mapper(mapper, known)
+        mode = (Online if online else Lockstep)(tracker, mapper)
+    closing: ClosingMode = NoClosing()
     if known is not None:
-        restore_mapper(mapper, known)
-    mode = (Online if online else Lockstep)(tracker, mapper)
-    return Pipeline(tracker, mode, mapper, online, known.sessions if known is not None else ())
+        tracker.recogniser = _known_places(known, camera, config)
+    elif config.backend.loops:
+        closing = (ClosingOnline if online else ClosingInLockstep)(tracker, mode)
+    sessions = known.sessions if known is not None else ()
+    return Pipeline(tracker, mode, closing, mapper, online, sessions)
+
+
+def _known_places(known: SavedMap, camera: PinholeCamera, config: Config) -> Places | None:
+    images = [(v.keyframe, v.color_jpeg, v.depth_png) for v in known.keyframes if v.keyframe >= 0]
+    return places_of(features_of(images, known.camera, known.config.sensor), camera, config)
 
 
 @dataclass(frozen=True)
@@ -69,6 +84,7 @@ class Pipeline:
 
     tracker: Tracker
     mapping: MappingMode
+    closing: ClosingMode
     mapper: Mapper | None  # None: the run only tracks
     online: bool  # frames arrive at their recorded pace
     sessions: tuple[SavedSession, ...] = ()  # before this one, of the map that it extends
@@ -94,8 +110,11 @@ class Pipeline:
                 progress.skipped(outcome)
             before = time.perf_counter()
             self.mapping.advance()
+            mapped = time.perf_counter()
+            self.closing.advance()
             now = time.perf_counter()
-            record.mapping_s += now - before
+            record.mapping_s += mapped - before
+            record.closing_s += now - mapped
             record.frames_s = now - start
             if stopped():
                 return
@@ -114,11 +133,26 @@ class Pipeline:
         except FrameError as error:
             return SkippedFrame(index, item.stamp_ns, name, str(error))
         self.mapping.after(item, result)
+        self.closing.after(result)
         seconds = time.perf_counter() - start
         return TrackedFrame(index, result, seconds, len(self.tracker.gaussians))
 
     def refine(self, record: RunRecord, progress: Progress, stopped: Callable[[], bool]) -> None:
-        """Optimise the map after the last frame; once `stopped`, at most one more step."""
+        """Close the last loops, then optimise the map; once `stopped`, at most one more step."""
+        start = time.perf_counter()
+        try:
+            poses, tracker = self.closing.finish(), self.tracker
+            if poses is not None:
+                record.final = FinalMap(
+                    poses, tracker.keyframe_poses, tracker.keyframe_submaps, self.closing.loops
+                )
+        finally:
+            record.closing_s += time.perf_counter() - start
+            self._refine_map(record, progress, stopped)
+
+    def _refine_map(
+        self, record: RunRecord, progress: Progress, stopped: Callable[[], bool]
+    ) -> None:
         start = time.perf_counter()
         try:
             for left in self.mapping.finish():
@@ -135,6 +169,9 @@ class NoMapping:
 
     def after(self, frame: RgbdFrame, result: TrackResult) -> None:
         """Ignore the frame."""
+
+    def correct(self, correction: Correction) -> None:
+        """Ignore the correction."""
 
     def advance(self) -> None:
         """Do nothing."""

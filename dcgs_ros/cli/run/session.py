@@ -29,7 +29,7 @@ from ...io.snapshot import saved_map
 from ..tables import run_summary
 from .checkpoints import Checkpoints
 from .deferred_errors import DeferredErrors
-from .outputs import write_plot, write_report, write_tracks
+from .outputs import write_optimized, write_plot, write_report, write_tracks
 from .pacing import at_recorded_pace, on_demand
 from .pipeline import Pipeline
 from .progress import Progress
@@ -72,6 +72,8 @@ class Session:
             self._survey_depth()
             with deferred:  # even after a failure: this ends the mapper's thread
                 pipeline.refine(record, progress, lambda: stopped() or deferred.failed)
+            with deferred:
+                write_optimized(self._folder, record)
         if pipeline.online:  # the mapper worked all the time
             record.mapping_s += record.frames_s
 
@@ -126,7 +128,7 @@ class Session:
         if every and self._saved is not None and not deferred.failed:
             with deferred:
                 found = score_map(
-                    self._saved, trajectory, self._source, every, make_renderer(workers)
+                    self._saved, record.mapped(), self._source, every, make_renderer(workers)
                 )
                 self._report = with_rendering(self._report, found.scores)
                 write_contact_sheet(self._folder / 'views.png', found.pairs)

@@ -211,6 +211,15 @@ class TimingConfig(Stage):
 
 
 @dataclass(frozen=True)
+class BackendConfig(Stage):
+    """Recognition of places, and corrections of the keyframes' poses."""
+
+    loops: bool = described(
+        True, 'Whether places are recognised and loops closed; if not, no pose is corrected.'
+    )
+
+
+@dataclass(frozen=True)
 class MappingConfig(Stage):
     """The mapper: its views, the Gaussians it adds and removes, and its optimisation."""
 
@@ -332,6 +341,7 @@ class Config(Stage):
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     timing: TimingConfig = field(default_factory=TimingConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)
 

@@ -25,9 +25,10 @@ CHUNKS = 16
 
 # Files whose constants or functions are compiled into kernels of other files.
 _INLINED = (
-    'kernels/jit.py', 'kernels/lens.py', 'kernels/small_matrix.py', 'mapping/rectification.py',
+    'backend/linearisation.py', 'kernels/jit.py', 'kernels/lens.py', 'kernels/small_matrix.py',
+    'mapping/rectification.py',
     'mapping/splats.py', 'render/renderer.py', 'render/simd.py', 'render/blending.py',
-    'render/projection.py', 'tracking/factors.py',
+    'render/projection.py', 'se3.py', 'tracking/factors.py',
 )  # fmt: skip
 
 

@@ -15,12 +15,13 @@ from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..errors import DcgsError
 from ..kernels.workers import Workers, cores
-from ..keyframe import Keyframe, MapUpdate, PosedFrame
+from ..keyframe import Correction, Keyframe, KeyframePose, MapUpdate, PosedFrame
 from ..render import make_renderer
 from ..render.renderer import Renderer, Rendering, View
 from . import exposure
 from .corrections import Corrections
 from .exposure import Exposure
+from .keyframe_poses import KeyframePoses
 from .losses import ImageLoss, Target
 from .rectification import Images, Rectifier
 from .seeding import Surface
@@ -70,6 +71,7 @@ class Mapper:
         self.table = SplatTable()
         self.views: list[KeyframeView] = []
         self.steps = 0
+        self.revision = 0  # of the last correction
         self.poisoned = 0  # Gaussians dropped because a parameter was not finite
         self._renderer, self._workers = renderer or make_renderer(workers), workers
         self._strategy = strategy or DefaultDensification()
@@ -84,16 +86,21 @@ class Mapper:
         }  # fmt: skip
         self._random = np.random.default_rng(settings.seed)
         self._scheduler = ViewScheduler(self._random)
+        self._keyframes = KeyframePoses()
         self._next_own_id = -1
         self._removed: list[NDArray[np.int64]] = []
 
     def insert(self, posed: PosedFrame) -> None:
         """Add a keyframe or a view: its Gaussians if any, and those that the strategy adds.
 
+        One that was tracked before a correction is placed where that has moved its keyframe.
         Raises `MapperError` for an invalid one; the mapper is then as it was before.
         """
         keyframe = posed if isinstance(posed, Keyframe) else _without_gaussians(posed)
         self._check(keyframe)
+        reference = self._keyframes.reference(posed)
+        if reference is not None:
+            keyframe = keyframe.moved(self._keyframes.motion_since(reference))
         images = self._rectify(keyframe.frame, keyframe.T_cam_cam_at_depth)
         view = KeyframeView.of(
             len(self.views), keyframe.frame.stamp_ns, keyframe.T_world_cam, images,
@@ -101,6 +108,7 @@ class Mapper:
         )  # fmt: skip
         if keyframe.odometry is not None:
             view.keyframe = keyframe.odometry.keyframe
+        view.reference_ns = None if reference is None else reference.stamp_ns
         self.views.append(view)
         coarse = View.of(self.camera, view.T_world_cam, COARSE)
         rendering = self._renderer.render(self.table.planes, coarse)
@@ -123,6 +131,10 @@ class Mapper:
     ) -> None:
         """Fill an empty mapper with a map that was saved; its optimisation begins anew."""
         self.views = list(views)
+        for view in self.views:
+            if view.keyframe >= 0:
+                view.reference_ns = view.stamp_ns
+                self._keyframes.motion_since(KeyframePose(view.stamp_ns, view.T_tracked))
         planes = Splats(splats.planes.copy())
         self.table.append(planes, ids, hosts, np.ascontiguousarray(measured.T), reach_m)
         self.table.weights[:] = weights
@@ -257,6 +269,28 @@ class Mapper:
             self._removed.append(table.ids[~keep & (table.ids >= 0)])
             table.keep(keep)
 
+    def correct(self, correction: Correction, others_stay: bool = False) -> int:
+        """Move views and Gaussians with their keyframes; to be called between two steps.
+
+        Returns how many views moved: none if the poses are those of now. They are replayed next,
+        so that the map is optimised again where parts of it have come together. Keyframes that the
+        correction does not name move with the latest named one before them, unless `others_stay`,
+        where they are in its world already.
+        """
+        moves = self._keyframes.correct(correction, others_stay)
+        self.revision = correction.revision
+        rows = [moves.row(view.reference_ns, view.stamp_ns) for view in self.views]
+        moved = moves.moved[rows]
+        if not moved.any():
+            return 0
+        motions = moves.motions[rows]
+        self.table.move(motions, moved)
+        chosen = np.flatnonzero(moved).tolist()
+        for k in chosen:
+            self.views[k].move(motions[k])
+        self._scheduler.begin_with(self.views, frozenset(chosen))
+        return len(chosen)
+
     def update(self) -> MapUpdate:
         """Return what changed of the tracker's Gaussians since the last call."""
         columns = self.table.report()
@@ -266,7 +300,8 @@ class Mapper:
         means, normals = self._seen_by_tracker(columns, normals)
         removed = np.concatenate([np.empty(0, np.int64), *self._removed])
         self._removed.clear()
-        return MapUpdate(self.table.ids[columns], means, normals, flatness, removed)
+        ids = self.table.ids[columns]
+        return MapUpdate(ids, means, normals, flatness, removed, self.revision)
 
     def _seen_by_tracker(
         self, columns: NDArray[np.int64], normals: NDArray[np.float32]

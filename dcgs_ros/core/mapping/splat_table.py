@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import se3
 from ..kernels.jit import fast_kernel
 from ..kernels.workers import Workers
 from ..render.renderer import Gradients
@@ -156,6 +157,30 @@ class SplatTable:
         T = T_map_tracked[self.hosts]
         self.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], self.measured) + T[:, :3, 3].T
 
+    def move(
+        self,
+        motions: NDArray[np.float64],  # (K, 4, 4) of each view, in the world
+        moved: NDArray[np.bool_],  # (K,) which of them are not the identity
+    ) -> None:
+        """Move the Gaussians with their views: means, axes of Sigma_r, and what Adam keeps.
+
+        The first moments turn with the gradients. Of the second ones, a variance for each axis,
+        the turned ellipsoid's diagonal stays. Reset to zero, they would let the next step be three
+        times the learning rate.
+        """
+        columns = np.flatnonzero(moved[self.hosts])
+        hosts = self.hosts[columns]
+        R, t = motions[hosts, :3, :3], motions[hosts, :3, 3]
+        for points in (self.splats.means, self.measured, self.anchors):
+            points[:, columns] = _turned(R, points[:, columns]) + t.T
+        products = _left_products(se3.to_quaternion(motions))[hosts]
+        quats = self.splats.quats_wxyz
+        quats[:, columns] = _turned(products, quats[:, columns])
+        first, second = (self._columns[f'{name}_moments'] for name in ('first', 'second'))
+        for rows, turns in ((slice(0, 3), R), (slice(6, 10), products)):
+            first[rows, columns] = _turned(turns, first[rows, columns])
+            second[rows, columns] = _turned(turns**2, second[rows, columns])
+
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Remove the Gaussians outside `mask` (N,)."""
         kept = np.flatnonzero(mask)
@@ -187,6 +212,18 @@ class SplatTable:
             c['weights'], gradients.planes, gradients.touched, gradients.weights, rates,
             self._unbias_1, self._unbias_2, c['anchors'], c['reach_m'],
         )  # fmt: skip
+
+
+def _turned(matrices: NDArray[np.float64], vectors: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the vectors (D, N) multiplied by a matrix each (N, D, D)."""
+    return np.einsum('nij,jn->in', matrices, vectors)
+
+
+def _left_products(quats_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return for each quaternion q (K, 4) the orthogonal L (K, 4, 4) with L p = q p."""
+    w, x, y, z = quats_wxyz.T
+    rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 @fast_kernel

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -38,6 +38,11 @@ class ViewScheduler:
             chosen = self._round.pop()
         coarse = not replay and self._random.random() < config.coarse_share
         return chosen, COARSE if coarse else 1
+
+    def begin_with(self, views: Sequence[KeyframeView], first: Collection[int]) -> None:
+        """Begin a round of all views in which those with the indices `first` come first."""
+        order = [views[k] for k in self._random.permutation(len(views)) if views[k].active]
+        self._round = sorted(order, key=lambda view: view.index in first)  # taken from the end
 
     def restart(self) -> None:
         """Begin a new round with the next call: some views have lost their images."""

@@ -36,6 +36,7 @@ class KeyframeView:
     exposure: Exposure
     visits: int = 0  # optimisation steps so far
     keyframe: int = -1  # the tracker's number of it; -1 for a view between keyframes
+    reference_ns: int | None = None  # stamp of the keyframe that it moves with, if that is known
     _images: Images | None = None
     _encoded: tuple[bytes, bytes] | None = None
     _moments: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, 6)))
@@ -78,6 +79,15 @@ class KeyframeView:
     def T_map_tracked(self) -> NDArray[np.float64]:
         """(4, 4) transform from the tracker's world to the mapper's at this view."""
         return self.T_world_cam @ se3.inverse(self.T_tracked)
+
+    def move(self, motion: NDArray[np.float64]) -> None:
+        """Move the view by `motion` (4, 4), in the world; its correction stays as it is.
+
+        So do the moments of `turn`, which are along the camera's own axes.
+        """
+        correction = self.correction
+        self.T_tracked = se3.orthonormalised(motion @ self.T_tracked)
+        self.T_world_cam = self.T_tracked @ correction
 
     @property
     def images(self) -> Images:

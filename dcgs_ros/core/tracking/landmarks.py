@@ -14,6 +14,7 @@ from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import LandmarkConfig
 from ..kernels.jit import kernel
+from ..keyframe import Sightings
 from ..sensor import SensorNoise
 from .corners import corners
 from .factors import PointFactors, Targets, covariances_along_rays, observed_from
@@ -37,13 +38,14 @@ class Landmarks:
     pixels: NDArray[np.float32]  # (L, 2) distorted, in the last image
     targets: Targets  # l and the anchor's Sigma_t
     patches: Patches  # of the images in which they were detected
+    ids: NDArray[np.int64]  # (L,) which never change; -1: not given yet
 
     @classmethod
     def none(cls) -> Landmarks:
         """Return an empty set."""
         empty = np.empty((0, 3), np.float32)
         targets = Targets(empty, empty, empty[:, 0], empty[:, 0], np.empty(0, np.int32))
-        return cls(empty[:, :2], targets, Patches.none())
+        return cls(empty[:, :2], targets, Patches.none(), np.empty(0, np.int64))
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -51,7 +53,7 @@ class Landmarks:
 
     def __getitem__(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Landmarks:
         """Return the landmarks of a mask or of indices."""
-        return Landmarks(self.pixels[keep], self.targets[keep], self.patches[keep])
+        return Landmarks(self.pixels[keep], self.targets[keep], self.patches[keep], self.ids[keep])
 
     def joined(self, other: Landmarks) -> Landmarks:
         """Return both sets together."""
@@ -59,6 +61,7 @@ class Landmarks:
             np.concatenate([self.pixels, other.pixels]),
             self.targets.joined(other.targets),
             self.patches.joined(other.patches),
+            np.concatenate([self.ids, other.ids]),
         )
 
     def moved(self, motions: NDArray[np.float64], T_camera: NDArray[np.float64]) -> Landmarks:
@@ -112,6 +115,23 @@ class Landmarks:
         found &= np.abs(aligned - pixels).max(axis=1) < config.slip_px
         found &= correlation > config.min_correlation
         return replace(alive, pixels=aligned)[found]
+
+    def sighted(
+        self,
+        depth_m: NDArray[np.float32],  # (H, W)
+        T_world_cam: NDArray[np.float64],  # (4, 4)
+        T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
+        twist: NDArray[np.float64],  # (6,) per second, of the camera, in its frame
+        camera: PinholeCamera,
+        sensor: SensorNoise,
+    ) -> Sightings:
+        """Return where a keyframe sees the corners, at colour's instant."""
+        expected = np.maximum(self.seen_from(T_world_cam)[:, 2], _NEAREST_M).astype(np.float32)
+        z, rays = _back_projected(
+            self.pixels, expected, depth_m, T_cam_cam_at_depth, twist, camera, sensor
+        )
+        z = np.where(_in_range(z, sensor), z, np.float32(0.0))
+        return Sightings(self.ids, rays[:, :2].astype(np.float32), z)
 
     def measured(
         self,
@@ -189,7 +209,7 @@ def detect(
     anchors = observed_from(seen_at, seen_from, sensor, anchor_px / camera.focal, hosts)
     targets = replace(anchors, points=(world + normals * height).astype(np.float32))
     patches = cut(grey, pixels, z[best], normals @ R, T_world_cam, camera)
-    return Landmarks(pixels, targets, patches)
+    return Landmarks(pixels, targets, patches, np.full(len(pixels), -1))
 
 
 def _klt(

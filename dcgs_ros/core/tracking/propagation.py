@@ -123,6 +123,11 @@ class KeyframeChain:
         """Start anew with keyframes that are certain: the world is theirs."""
         self._covariances = np.zeros((keyframes, 6, 6))
 
+    @property
+    def covariances(self) -> NDArray[np.float64]:
+        """(K, 6, 6) of eps in exp(eps) T_world_cam."""
+        return self._covariances
+
     def correct(self, covariances: NDArray[np.float64], motions: NDArray[np.float64]) -> None:
         """Take those (K, 6, 6) of the first keyframes; later ones, moved, are as sure as the last.
 

@@ -29,7 +29,11 @@ class Reference:
 
     keyframe: int  # the newest one, or the frame itself
     T_keyframe_cam: NDArray[np.float64]  # (4, 4)
-    submap: int
+    submap: int  # of the keyframe; above 0: not joined to the map, whose place is not known
+    stamp_ns: int  # of the keyframe
+    revision: int  # of the last correction; 0: none yet
+    # (4, 4) from the world to what it would be here without corrections: with them the pose steps.
+    T_uncorrected_world: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

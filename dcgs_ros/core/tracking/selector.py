@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+from .. import se3
 from ..frame import RgbdFrame
-from ..keyframe import PosedFrame
+from ..keyframe import KeyframePose, PosedFrame
 from .result import TrackingState, TrackResult
 
 _SURE = (TrackingState.OK, TrackingState.DEGENERATE)  # a pose is known, not only supposed
@@ -28,8 +29,20 @@ class KeyframeSelector:
         if result.state in _SURE:
             self._since += 1
             if not result.keyframe and self._since >= self.interval:
-                view = PosedFrame(frame, result.T_world_cam, result.T_cam_cam_at_depth)
+                view = PosedFrame(
+                    frame, result.T_world_cam, result.T_cam_cam_at_depth,
+                    reference=_reference(result),
+                )  # fmt: skip
                 selected.append(view)
         if selected or result.keyframe:
             self._since = 0
         return selected
+
+
+def _reference(result: TrackResult) -> KeyframePose | None:
+    """Return the keyframe that a frame was placed relative to, and where that is."""
+    reference = result.reference
+    if reference is None:
+        return None
+    T = result.T_world_cam @ se3.inverse(reference.T_keyframe_cam)
+    return KeyframePose(reference.stamp_ns, T)

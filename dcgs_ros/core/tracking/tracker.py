@@ -84,6 +84,8 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self._config.keyframes)
         self._visited = Visited()  # the keyframes
+        self._next_landmark = 0  # id
+        self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
@@ -92,6 +94,7 @@ class Tracker:
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
         self._search_ns = 0  # stamp of the last frame in which the camera was looked for
         self._searched_s = 0.0  # by frames that found no place
+        self.revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
@@ -178,10 +181,12 @@ class Tracker:
         """Take over what the mapper made of the Gaussians: their shape, and which were removed.
 
         Means stay as they were measured. The mapper's are within a fraction of sigma_z of them,
-        and made the tracker slightly worse.
+        and made the tracker slightly worse. Normals from before the last correction are of a world
+        that is no more, and are ignored: newer ones follow.
         """
         self.gaussians.remove(update.removed)
-        self.gaussians.reshape(update.ids, update.normals, update.flatness)
+        if update.revision >= self.revision:
+            self.gaussians.reshape(update.ids, update.normals, update.flatness)
 
     def correct(self, correction: Correction) -> None:
         """Move the map, and all that is placed in it, to better poses of its keyframes.
@@ -189,7 +194,9 @@ class Tracker:
         To be called between two frames.
         """
         motions = self._visited.correct(correction)
+        self.revision = correction.revision
         here = motions[self._host]
+        self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
         self._policy.move(here)
@@ -241,9 +248,27 @@ class Tracker:
         return self._visited
 
     @property
+    def corrected_poses(self) -> Correction:
+        """The last correction as it was applied: of all keyframes, later ones too.
+
+        It is what the mapper should get, so that both have one world.
+        """
+        return self._visited.as_correction(self.revision)
+
+    @property
     def keyframes(self) -> int:
         """How many keyframes the map has."""
         return len(self._visited)
+
+    @property
+    def keyframe_poses(self) -> NDArray[np.float64]:
+        """(K, 4, 4) T_world_cam of the keyframes, as corrected so far."""
+        return np.array(self._visited.poses).reshape(-1, 4, 4)
+
+    @property
+    def keyframe_submaps(self) -> NDArray[np.int32]:
+        """(K,) in which sub-map each keyframe is; those that were joined have one number."""
+        return np.array(self._visited.submaps, np.int32)
 
     @property
     def searching(self) -> bool:
@@ -491,7 +516,13 @@ class Tracker:
         self._visited.add(frame.stamp_ns, T, odometry, claim.in_world)
         self._depth_bias.add_keyframe(T)
         means, normals = self.gaussians.of(ids)
-        return Keyframe(frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry)
+        sightings = self.landmarks.sighted(
+            frame.depth_m, T, registered.T_cam_cam_at_depth, registered.twist, self.camera,
+            config.sensor,
+        )  # fmt: skip
+        return Keyframe(
+            frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry, sightings
+        )
 
     def _runs_out_of_landmarks(self) -> bool:
         """Return whether they are few, or missing where there were some, since the detection."""
@@ -512,6 +543,8 @@ class Tracker:
             registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
             self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
         )  # fmt: skip
+        new = replace(new, ids=self._next_landmark + np.arange(len(new)))
+        self._next_landmark += len(new)
         landmarks = self.landmarks.joined(new)
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
         self._memory = replace(self._memory, landmarks=landmarks, spread=there)
@@ -548,7 +581,10 @@ class Tracker:
         if not self._visited.poses:
             return None
         T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
-        return Reference(self._host, T_keyframe_cam, self._visited.submaps[self._host])
+        return Reference(
+            self._host, T_keyframe_cam, self._visited.submaps[self._host],
+            self._visited.stamps_ns[self._host], self.revision, self._T_uncorrected_world,
+        )  # fmt: skip
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:
         """Return how sure the pose is, in the map around the camera and in the world."""

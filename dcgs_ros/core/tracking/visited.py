@@ -98,6 +98,13 @@ class Visited:
             covariance,
         )  # fmt: skip
 
+    def as_correction(self, revision: int) -> Correction:
+        """Return where all keyframes are now."""
+        return Correction(
+            revision, np.array(self.stamps_ns, np.int64), np.reshape(self.poses, (-1, 4, 4)),
+            self._chain.covariances, np.array(self.submaps, np.int32),
+        )  # fmt: skip
+
     def correct(self, correction: Correction) -> NDArray[np.float64]:
         """Take corrected poses; return each keyframe's motion (K, 4, 4) in the world.
 

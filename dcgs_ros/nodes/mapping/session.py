@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...core.config.stages import Config
 from ...core.errors import DcgsError
 from ...core.kernels.workers import Workers
-from ...core.keyframe import MapUpdate
+from ...core.keyframe import Correction, MapUpdate
 from ...core.mapping.mapper import Mapper, mapper_threads
 from ...core.render.renderer import Rendering
 from ...io.map_archive import MapFileError, SavedMap, read_map, write_map
@@ -31,6 +31,7 @@ _RATE_WINDOW_S = 5.0  # over which steps per second are counted
 _FOREIGN_S = 10.0  # that another tracker is spoken of after its last keyframe
 _NO_TRACKER = 'no tracker runs in this namespace'
 AUTOSAVE = 'autosave.dcgs'
+_CORRECTIONS = 4  # kept of maps that may still begin: the last one of each
 _BEHIND = 8  # waiting keyframes that are worth a warning
 
 
@@ -65,6 +66,7 @@ class MappingSession:
         self.foreign = 0  # keyframes of other trackers
         self._localize_only = localize_only
         self._before: tuple[SavedSession, ...] = ()  # sessions of the map that was loaded
+        self._corrections: dict[int, Correction] = {}  # the last one by epoch
         self._trackers, self._foreign_s = trackers, -_FOREIGN_S
         self._received_s: float | None = None  # monotonic time of the last keyframe
         self._steps_since_keyframe = 0
@@ -83,6 +85,8 @@ class MappingSession:
             return None
         if begins:
             mapper = Mapper(packet.camera, self.config, workers=self._workers)
+            if packet.epoch in self._corrections:  # its keyframes may be from before it
+                mapper.correct(self._corrections[packet.epoch], others_stay=True)
         if mapper is None or (packet.stamp_ns in self.stamps and not begins):
             return None
         try:
@@ -98,6 +102,23 @@ class MappingSession:
         self._received_s = time.monotonic()
         self._steps_since_keyframe, self.refusal = 0, ''
         return mapper.update()
+
+    def correct(self, correction: Correction, epoch: int) -> bool:
+        """Take the poses of all keyframes of a map; return whether the map of now has moved.
+
+        Those of a map that has not begun are kept for it. A keyframe that they do not name was
+        made after the correction.
+        """
+        self._corrections.pop(epoch, None)
+        self._corrections[epoch] = correction
+        if len(self._corrections) > _CORRECTIONS:
+            del self._corrections[next(iter(self._corrections))]
+        if self.mapper is None or epoch != self.epoch:
+            return False
+        moved = self.mapper.correct(correction, others_stay=True) > 0
+        if moved:
+            self._steps_since_keyframe = 0
+        return moved
 
     def refuse(self, error: DcgsError) -> None:
         """Count a keyframe that cannot be used, and warn."""
@@ -228,6 +249,7 @@ class MappingSession:
                 'gaussians': len(mapper.table),
                 'keyframes': len(mapper.views),
                 'steps': mapper.steps,
+                'revision': mapper.revision,
                 'poisoned': mapper.poisoned,
             }
         if self._received_s is not None:

@@ -32,8 +32,9 @@ def _row(floats: str, *others: tuple[str, str]) -> np.dtype[Any]:
 
 # What a keyframe spawned: mean, the viewpoint it was seen from, and normal; world, metres.
 KEYFRAME_GAUSSIAN = _row('x y z viewpoint_x viewpoint_y viewpoint_z normal_x normal_y normal_z')
-# Sigma_r in the mapper's answer: its thinnest axis, unit, world, and lambda3 / lambda2.
-SHAPE = _row('normal_x normal_y normal_z flatness')
+# Sigma_r in the mapper's answer: its thinnest axis, unit, world, and lambda3 / lambda2; the last
+# correction that the mapper had taken.
+SHAPE = _row('normal_x normal_y normal_z flatness', ('revision', '<u4'))
 # x y z in metres, world; rgb packed as in PCL and RViz; opacity 0..1; scale: standard deviations,
 # metres; rot: wxyz; track_cov in m^2, NaN for the mapper's own; keyframe: a row (KEYFRAME_POSE) of
 # keyframe/received.
@@ -45,6 +46,15 @@ MAP_GAUSSIAN = _row(
 KEYFRAME_POSE = np.dtype(
     [('sec', '<i4'), ('nanosec', '<u4'), *((name, '<f4') for name in 'x y z qx qy qz qw'.split())]
 )
+# Where the tracker's keyframes are after a correction, in the order of their index, which `id`
+# holds with the epoch as a Gaussian's does; stamp of the colour image, the number of the
+# correction, the sub-map; T_world_cam as x y z in metres and a unit quaternion.
+CORRECTED_POSE = np.dtype(
+    [
+        ('id', '<f8'), ('sec', '<i4'), ('nanosec', '<u4'), ('revision', '<u4'), ('submap', '<i4'),
+        *((name, '<f8') for name in 'x y z qx qy qz qw'.split()),
+    ]
+)  # fmt: skip
 
 
 def write_cloud(rows: NDArray[Any], header: Header) -> PointCloud2:

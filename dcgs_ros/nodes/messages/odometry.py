@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import PoseWithCovarianceStamped, Vector3
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from std_msgs.msg import Header
@@ -68,6 +68,16 @@ def odometry_message(
     message.twist.twist.linear = Vector3(x=x, y=y, z=z)
     message.twist.twist.angular = Vector3(x=about_x, y=about_y, z=about_z)
     message.twist.covariance = np.asarray(twist_covariance, np.float64).ravel()
+    return message
+
+
+def pose_with_covariance(
+    header: Header, T: NDArray[np.float64], covariance: NDArray[np.float64]
+) -> PoseWithCovarianceStamped:
+    """Return a pose in the header's frame; `covariance` (6, 6) as of `CameraToBase`."""
+    message = PoseWithCovarianceStamped(header=header)
+    message.pose.pose = pose_message(T)
+    message.pose.covariance = np.asarray(covariance, np.float64).ravel()
     return message
 
 

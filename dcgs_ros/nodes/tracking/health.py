@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.tracking.result import TrackingState, TrackResult
 from ..health import Level, Verdict
+from .odometry_frame import submap_of
 
 _SILENT_S = 2.0  # without images: the camera is gone
 _FEW = 4  # images since the last report of which none need form a pair
@@ -89,6 +90,9 @@ def judge(
         assert result.observability is not None
         axis = weakest_axis(result.observability.weakest)
         return Verdict(Level.WARN, f'degenerate: hardly anything in view fixes {axis}')
+    if submap_of(result):
+        text = 'tracking in new surroundings, of which the place in the map is not known yet'
+        return Verdict(Level.WARN, f'{text}: move to where the map is for ~/pose to go on')
     if streams.dropped > _DROPPING * max(streams.pairs, 1):
         text = f'{streams.dropped} of {streams.pairs} pairs dropped: too slow for this camera'
         return Verdict(Level.WARN, f'{text}; lower its rate or resolution')
@@ -162,6 +166,7 @@ def numbers(result: TrackResult) -> dict[str, Any]:
         'inliers': result.inliers,
         'points': result.points,
         'landmarks': result.landmarks,
+        'submap': submap_of(result),
         'colour_depth_offset_ms': float(result.colour_depth_offset_ms),
     }
     if result.observability is not None:

@@ -179,6 +179,15 @@ class KeyframeSender:
 
     def _may_take_over(self, heir: int, dropped: int) -> bool:
         """Return whether the Gaussians of `dropped` reach the mapper, which may lack them."""
-        return heir not in self._sent_s and (
-            dropped in self._received or heir not in self._received
+        submaps = [_submap(self._kept[stamp]) for stamp in (heir, dropped)]
+        return (
+            heir not in self._sent_s
+            and submaps[0] == submaps[1]
+            and (dropped in self._received or heir not in self._received)
         )
+
+
+def _submap(kept: KeptKeyframe) -> int:
+    """Return the sub-map: Gaussians move with their keyframe, so it must be of the same one."""
+    odometry = kept.keyframe.odometry
+    return 0 if odometry is None else odometry.submap

@@ -9,9 +9,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol
 
+from ...core.backend.features import Features
 from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.tracking.tracker import Tracker
+from ...io.known_places import features_of, places_of
 from ...io.saved_tracker import SavedTracker
 from ...io.sessions import SavedSession
 from ...io.tracker_map import read_tracker_map, write_tracker_map
@@ -45,12 +47,16 @@ class KnownMap:
     camera: PinholeCamera  # that it was made with
     tracker: SavedTracker
     sessions: tuple[SavedSession, ...]
+    features: tuple[tuple[int, Features], ...]  # of the keyframes that have images
 
     @classmethod
     def read(cls, path: Path) -> KnownMap:
         """Read a file; raises a `DcgsError` that says what is wrong with it."""
         known = read_tracker_map(path)
-        return cls(epoch_of_file(path), known.camera, known.tracker, known.sessions)
+        features = features_of(known.images, known.camera, known.sensor)
+        return cls(
+            epoch_of_file(path), known.camera, known.tracker, known.sessions, tuple(features)
+        )
 
     @property
     def stamps_ns(self) -> tuple[int, ...]:
@@ -60,6 +66,7 @@ class KnownMap:
     def resume(self, tracker: Tracker) -> None:
         """Have a tracker that has tracked nothing yet go on in the map."""
         self.tracker.resume(tracker, self.camera)
+        tracker.recogniser = places_of(self.features, tracker.camera, tracker.config)
 
     def __str__(self) -> str:
         """Return its size in words."""

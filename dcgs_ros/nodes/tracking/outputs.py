@@ -1,32 +1,49 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Publishes the pose of the base as Odometry, PoseStamped, Path and TF, and records it."""
+"""Publishes the pose of the base as Odometry, PoseStamped, Path and TF, and records it.
+
+Frames are those of REP 105: the base moves without steps in odom, and is right in map.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from ...core import se3
 from ...core.config.nodes import TrackerNodeSettings
 from ...core.tracking.result import TrackingState, TrackResult
+from ..messages.corrections import write_correction
 from ..messages.images import header
-from ..messages.odometry import CameraToBase, odometry_message
+from ..messages.odometry import CameraToBase, odometry_message, pose_with_covariance
 from ..messages.poses import path, pose_stamped, transform_stamped
 from ..transforms import make_transforms
-from ..transport import RELIABLE
+from ..transport import RELIABLE, latched
+from .corrected import Corrected
 from .extrinsics import Mounting
+from .odometry_frame import OdometryFrame, OdometryPose, submap_of
 from .trajectory_recorder import TrajectoryRecorder
 
-_MAP_FRAME = 'map'
+MAP_FRAME = 'map'
 _MAX_GAP_S = 0.5  # between two poses that give a velocity
+
+
+@dataclass
+class _PathPose:
+    """A pose of the path, and the keyframe that it moves with when the map is corrected."""
+
+    stamp_ns: int
+    T_map_base: NDArray[np.float64]  # (4, 4)
+    keyframe: int
 
 
 class TrackerOutputs:
@@ -39,39 +56,81 @@ class TrackerOutputs:
         self._settings, self._transforms = settings, make_transforms(node)
         self.mounting = Mounting(settings, self._transforms, warn)
         self._recorder = TrajectoryRecorder(settings.save_on_exit)
-        self.world = _MAP_FRAME if settings.tf == 'map_to_odom' else settings.odom_frame
-        self._odometry = node.create_publisher(Odometry, '~/odometry', RELIABLE)
-        self._pose = node.create_publisher(PoseStamped, '~/pose', RELIABLE)
-        self._camera_pose = node.create_publisher(PoseStamped, 'camera_pose', RELIABLE)
-        self._progress = node.create_publisher(Header, '~/progress', RELIABLE)
-        self._path = node.create_publisher(Path, '~/path', RELIABLE)
-        self._path_poses: list[PoseStamped] = []
+        self.world = MAP_FRAME
+        advertise = node.create_publisher
+        self._odometry = advertise(Odometry, '~/odometry', RELIABLE)
+        self._pose = advertise(PoseStamped, '~/pose', RELIABLE)
+        self._with_covariance = advertise(
+            PoseWithCovarianceStamped, '~/pose_with_covariance', RELIABLE
+        )
+        self._camera_pose = advertise(PoseStamped, 'camera_pose', RELIABLE)
+        self._keyframe_poses = advertise(PointCloud2, 'keyframe_poses', latched(1))
+        self._progress = advertise(Header, '~/progress', RELIABLE)
+        self._path = advertise(Path, '~/path', RELIABLE)
+        self._path_poses: list[_PathPose] = []
         self._path_step, self._path_count, self._path_due_s = 1, 0, 0.0
         self._last: TrackResult | None = None
+        self._odom = OdometryFrame()
+        self._T_map_odom: NDArray[np.float64] | None = None  # None: not known yet
 
     def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
         """Return TF's T_parent_child (4, 4), metres; None where it does not know it."""
         return self._transforms.lookup(parent, child)
 
     def publish(self, result: TrackResult, to_base: CameraToBase) -> None:
-        """Publish a pose with its covariance in the world, and the velocity since the last one."""
-        T_world_base = to_base.pose(result.T_world_cam)
-        in_world = header(result.stamp_ns, self.world)
-        twist, twist_covariance = to_base.twist(*self._camera_twist(result))
-        self._odometry.publish(
-            odometry_message(
-                in_world, self._settings.base_frame, T_world_base,
-                to_base.covariance(result.covariance_world, T_world_base), twist,
-                twist_covariance,
-            )
-        )  # fmt: skip
-        stamped = pose_stamped(T_world_base, in_world)
-        self._pose.publish(stamped)
-        self._camera_pose.publish(pose_stamped(result.T_world_cam, in_world))
-        self._send_transform(T_world_base, result.stamp_ns)
-        self._extend_path(stamped)
-        self._recorder.add(result.stamp_ns, T_world_base)
+        """Publish the pose in odom and, unless that is not known, in the map."""
+        stamp_ns = result.stamp_ns
+        in_odom = self._odom.follow(result, to_base.T_base_cam)
+        T_odom_base = to_base.pose(in_odom.T_odom_cam)
+        self._publish_odometry(result, in_odom, to_base)
+        in_map = header(stamp_ns, self.world)
+        self._camera_pose.publish(pose_stamped(result.T_world_cam, in_map))
+        if submap_of(result) == 0:
+            T_map_base = to_base.pose(result.T_world_cam)
+            self._pose.publish(pose_stamped(T_map_base, in_map))
+            covariance = to_base.covariance(result.covariance_world, T_map_base)
+            self._with_covariance.publish(pose_with_covariance(in_map, T_map_base, covariance))
+            self._place_odom(T_map_base, T_odom_base)
+            keyframe = -1 if result.reference is None else result.reference.keyframe
+            self._extend_path(_PathPose(stamp_ns, T_map_base, keyframe), in_map)
+            self._recorder.add(stamp_ns, T_map_base)
+        self._send_transforms(T_odom_base, stamp_ns)
         self._last = result
+
+    def _publish_odometry(
+        self, result: TrackResult, in_odom: OdometryPose, to_base: CameraToBase
+    ) -> None:
+        """Publish the pose in odom with its drift, and the velocity since the last one.
+
+        Where another node's odometry is odom, ours is published in the map.
+        """
+        frame, T_cam = self._settings.odom_frame, in_odom.T_odom_cam
+        covariance: NDArray[np.floating] = in_odom.covariance
+        if self._settings.tf == 'map_to_odom':
+            frame, T_cam, covariance = self.world, result.T_world_cam, result.covariance_world
+        T_base = to_base.pose(T_cam)
+        twist, twist_covariance = to_base.twist(*self._camera_twist(result))
+        message = odometry_message(
+            header(result.stamp_ns, frame), self._settings.base_frame, T_base,
+            to_base.covariance(covariance, T_base), twist, twist_covariance,
+        )  # fmt: skip
+        self._odometry.publish(message)
+
+    def lose(self) -> None:
+        """Take note that the camera is lost."""
+        self._odom.lose()
+
+    def correct(self, corrected: Corrected, epoch: int) -> None:
+        """Move what was published of the map `epoch`, and tell the mapper."""
+        self._odom.correct(corrected)
+        if self._last is not None:
+            T_world_cam = corrected.here @ self._last.T_world_cam
+            self._last = replace(self._last, T_world_cam=T_world_cam)
+        for pose in self._path_poses:
+            if pose.keyframe >= 0:
+                pose.T_map_base = corrected.motions[pose.keyframe] @ pose.T_map_base
+        if len(corrected.named.stamps_ns):
+            self._keyframe_poses.publish(write_correction(corrected.named, epoch, self.world))
 
     def progress(self, header: Header) -> None:
         """Tell a replay which frame is done, whatever came of it."""
@@ -79,9 +138,10 @@ class TrackerOutputs:
             self._progress.publish(header)
 
     def forget(self) -> None:
-        """Begin a new path."""
+        """Begin a new path, and odom where the base is then."""
         self._path_poses.clear()
         self._path_step, self._last = 1, None
+        self._odom, self._T_map_odom = OdometryFrame(), None
 
     def remount(self, assumed: NDArray[np.float64], T_base_cam: NDArray[np.float64]) -> None:
         """Correct where the camera is on the base (4, 4); the path begins anew."""
@@ -98,8 +158,9 @@ class TrackerOutputs:
         """Return the camera's twist (6,) since the last pose, per second, and covariance (6, 6).
 
         Both poses are relative to the map around the camera, so what the map adds in the world
-        does not count. Without a recent pose, or where the camera was only found again, it is
-        unknown: zero, with a covariance of a metre and a radian.
+        does not count. Their errors are taken as independent, which errs on the safe side: those
+        of neighbouring frames resemble each other. Without a recent pose, or where the camera was
+        only found again, it is unknown: zero, with a covariance of a metre and a radian.
         """
         last = self._last
         if last is None or result.state is TrackingState.RELOCALISED:
@@ -107,29 +168,47 @@ class TrackerOutputs:
         dt = (result.stamp_ns - last.stamp_ns) * 1e-9
         if not 0 < dt < _MAX_GAP_S:
             return np.zeros(6), np.eye(6)
-        moved = se3.log(se3.inverse(last.T_world_cam) @ result.T_world_cam)
-        return moved / dt, (last.covariance + result.covariance) / dt**2
+        motion = se3.inverse(last.T_world_cam) @ result.T_world_cam
+        Ad = se3.adjoint(se3.inverse(motion))  # from the axes of the last camera to this one's
+        covariance = Ad @ last.covariance @ Ad.T + result.covariance
+        return se3.log(motion) / dt, covariance / dt**2
 
-    def _send_transform(self, T_world_base: NDArray[np.float64], stamp_ns: int) -> None:
+    def _place_odom(
+        self, T_map_base: NDArray[np.float64], T_odom_base: NDArray[np.float64]
+    ) -> None:
+        """Find where odom is in the map: ours, or that of the node which broadcasts it."""
         settings = self._settings
-        in_world = header(stamp_ns, self.world)
-        if settings.tf == 'odom_to_base':
-            self._transforms.send(transform_stamped(T_world_base, in_world, settings.base_frame))
-        elif settings.tf == 'map_to_odom':
-            T_odom_base = self._transforms.lookup(settings.odom_frame, settings.base_frame)
-            if T_odom_base is not None:
-                T_map_odom = T_world_base @ se3.inverse(T_odom_base)
-                self._transforms.send(transform_stamped(T_map_odom, in_world, settings.odom_frame))
+        T: NDArray[np.float64] | None = T_odom_base
+        if settings.tf == 'map_to_odom':
+            T = self._transforms.lookup(settings.odom_frame, settings.base_frame)
+        if T is not None:
+            self._T_map_odom = T_map_base @ se3.inverse(T)
 
-    def _extend_path(self, stamped: PoseStamped) -> None:
+    def _send_transforms(self, T_odom_base: NDArray[np.float64], stamp_ns: int) -> None:
+        """Broadcast; odom stays where it was in the map while the place there is not known."""
+        settings = self._settings
+        if settings.tf == 'none':
+            return
+        if settings.tf == 'odom_to_base':
+            in_odom = header(stamp_ns, settings.odom_frame)
+            self._transforms.send(transform_stamped(T_odom_base, in_odom, settings.base_frame))
+        if self._T_map_odom is not None:
+            in_map = header(stamp_ns, self.world)
+            self._transforms.send(transform_stamped(self._T_map_odom, in_map, settings.odom_frame))
+
+    def _extend_path(self, pose: _PathPose, in_map: Header) -> None:
         """Add every pose; once the path is full every second one, then every fourth, and so on."""
         self._path_count += 1
         if self._path_count % self._path_step == 0:
-            self._path_poses.append(stamped)
+            self._path_poses.append(pose)
         if len(self._path_poses) > self._settings.path_poses:
             self._path_poses = self._path_poses[::2]
             self._path_step *= 2
         now, rate_hz = time.monotonic(), self._settings.path_rate_hz
         if rate_hz > 0 and now >= self._path_due_s and self._path.get_subscription_count():
             self._path_due_s = now + 1.0 / rate_hz
-            self._path.publish(path(self._path_poses, stamped.header))
+            poses = [
+                pose_stamped(p.T_map_base, header(p.stamp_ns, self.world))
+                for p in self._path_poses
+            ]
+            self._path.publish(path(poses, in_map))

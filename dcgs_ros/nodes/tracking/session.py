@@ -19,12 +19,14 @@ from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
-from ...core.keyframe import MapUpdate, PosedFrame
+from ...core.keyframe import Correction, Keyframe, MapUpdate, PosedFrame
 from ...core.tracking.result import TrackingState, TrackResult
 from ...core.tracking.selector import KeyframeSelector
 from ...core.tracking.tracker import Tracker
 from ..messages.ids import first_epoch, next_epoch
 from ..messages.packet import KeyframePacket
+from .back_end_worker import Loops, NoLoops
+from .corrected import Corrected
 from .health import numbers
 from .known_map import Known
 
@@ -42,9 +44,10 @@ class TrackingSession:
         config: Config,
         T_world_first: NDArray[np.float64],
         warn: Callable[[str], None],
+        loops: Loops | None = None,
         localize_only: bool = False,
     ) -> None:
-        """Wait for the first camera; `warn` gets the lines for the log.
+        """Wait for the first camera; `warn` gets the lines for the log, `loops` the keyframes.
 
         With `localize_only` the map of `resume` stays as it is, and is never left.
         """
@@ -63,11 +66,18 @@ class TrackingSession:
         self._stamp_ns: int | None = None  # of the last frame
         self._held = False  # whether the camera's place was known then
         self._keyframe_stamps: set[int] = set()
+        self._names: dict[int, int] = {}  # stamps of this tracker's keyframes, by their index
+        self._loops = loops or NoLoops()
 
     def resume(self, resumable: Known) -> None:
         """Go on in the map of another tracker; to be called before the first frame."""
         self._resumable = resumable
         self._keyframe_stamps.update(resumable.stamps_ns)
+
+    @property
+    def known(self) -> Known | None:
+        """The map that it goes on in."""
+        return self._resumable
 
     def load(self, known: Known) -> None:
         """Go on in another map, from the next frame on."""
@@ -169,6 +179,10 @@ class TrackingSession:
             self.epoch = self._resumable.epoch
             self._resumable.resume(self.tracker)
             self.tracker.localize_only = self._localize_only
+            self._loops.leave()
+        else:
+            self.tracker.recogniser = self._loops.begin(camera, self.config, self.epoch)
+        self._names.clear()
         self._selector = KeyframeSelector(self.config.mapping.view_interval)
         return self.tracker
 
@@ -185,17 +199,52 @@ class TrackingSession:
             return []
         camera, frame = self.tracker.camera, self.tracker.corrected(frame)
         chosen = self._selector.select(frame, result)
-        return [
-            KeyframePacket(self.epoch, camera, self._with_new_stamp(posed), camera_frame)
-            for posed in chosen
-        ]
+        renamed = [self._with_new_stamp(posed) for posed in chosen]
+        referring = [self._with_reference(posed, result) for posed in renamed]
+        return [KeyframePacket(self.epoch, camera, posed, camera_frame) for posed in referring]
 
     def _with_new_stamp(self, posed: PosedFrame) -> PosedFrame:
         stamp_ns = posed.frame.stamp_ns
         while stamp_ns in self._keyframe_stamps:
             stamp_ns += 1
         self._keyframe_stamps.add(stamp_ns)
-        return replace(posed, frame=replace(posed.frame, stamp_ns=stamp_ns))
+        posed = replace(posed, frame=replace(posed.frame, stamp_ns=stamp_ns))
+        if isinstance(posed, Keyframe) and posed.odometry is not None:
+            self._names[posed.odometry.keyframe] = stamp_ns
+            self._loops.add(posed)
+        return posed
+
+    def _with_reference(self, posed: PosedFrame, result: TrackResult) -> PosedFrame:
+        """Return a view with the name under which the mapper has the keyframe that it refers to.
+
+        Keyframes of another tracker are not corrected: a view need not refer to them.
+        """
+        if posed.reference is None or result.reference is None:
+            return posed
+        name = self._names.get(result.reference.keyframe)
+        reference = None if name is None else replace(posed.reference, stamp_ns=name)
+        return replace(posed, reference=reference)
+
+    def correct(self, correction: Correction, epoch: int) -> Corrected | None:
+        """Move the tracker's map, between two frames; None where it is not that map any more."""
+        tracker = self.tracker
+        if tracker is None or epoch != self.epoch:
+            return None
+        before, camera = list(tracker.visited.poses), tracker.T_world_cam
+        tracker.correct(correction)
+        applied = tracker.corrected_poses
+        motions = applied.T_world_cam @ se3.inverse(np.reshape(before, (-1, 4, 4)))
+        here = tracker.T_world_cam @ se3.inverse(camera)
+        return Corrected(applied, self._named(applied), motions, here)
+
+    def _named(self, applied: Correction) -> Correction:
+        """Return the poses of the keyframes that were handed over, with their names."""
+        rows = sorted(self._names)
+        names = np.array([self._names[row] for row in rows], np.int64)
+        return Correction(
+            applied.revision, names, applied.T_world_cam[rows], applied.covariances[rows],
+            applied.submaps[rows],
+        )  # fmt: skip
 
     def apply(self, update: MapUpdate, epoch: int) -> None:
         """Apply the mapper's answer, if it is of this map."""
@@ -218,5 +267,9 @@ class TrackingSession:
         tracker, result = self.tracker, self.result
         shown: dict[str, Any] = {}
         if tracker is not None:
-            shown |= {'gaussians': len(tracker.gaussians), 'keyframes': tracker.keyframes}
+            shown |= {
+                'gaussians': len(tracker.gaussians),
+                'keyframes': tracker.keyframes,
+                'revision': tracker.revision,
+            }
         return shown if result is None else shown | numbers(result)

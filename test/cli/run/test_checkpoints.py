@@ -22,6 +22,7 @@ from dcgs_ros.cli.run.pipeline import NoMapping, Pipeline
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.loop_closing import NoClosing
 from dcgs_ros.core.mapping.mapper import Mapper
 from dcgs_ros.core.mapping.rectification import Images
 from dcgs_ros.core.mapping.splats import Splats
@@ -75,7 +76,7 @@ def mapper() -> Mapper:
 
 def pipeline_of(mapper: Mapper | None) -> Pipeline:
     mapping = NoMapping() if mapper is None else AtOnce(mapper)
-    return Pipeline(cast(Tracker, None), mapping, mapper, online=False)
+    return Pipeline(cast(Tracker, None), mapping, NoClosing(), mapper, online=False)
 
 
 def tracked(index: int, state: TrackingState = TrackingState.OK) -> TrackedFrame:
@@ -154,7 +155,7 @@ def test_the_copy_is_of_when_the_mapper_was_at_rest(tmp_path: Path, mapper: Mapp
                 work(self.mapper)
             self.mapper.table.planes[:] = 7
 
-    pipeline = Pipeline(cast(Tracker, None), Once(mapper), mapper, online=False)
+    pipeline = Pipeline(cast(Tracker, None), Once(mapper), NoClosing(), mapper, online=False)
     before = mapper.table.splats.planes.copy()
     with Checkpoints(tmp_path, RunRecord('', ''), pipeline):
         wait_for((tmp_path / 'map.ply').exists)
@@ -187,7 +188,7 @@ def test_the_end_of_the_run_is_not_waited_for_where_the_mapper_is_busy(
         def between_steps(self, work: Callable[[Mapper], None]) -> None:
             asked.append(work)
 
-    pipeline = Pipeline(cast(Tracker, None), Busy(), mapper, online=False)
+    pipeline = Pipeline(cast(Tracker, None), Busy(), NoClosing(), mapper, online=False)
     with Checkpoints(tmp_path, RunRecord('', ''), pipeline):
         wait_for(lambda: asked)
     assert list(tmp_path.iterdir()) == []

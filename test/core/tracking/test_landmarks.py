@@ -86,6 +86,7 @@ def landmarks_at(
         at,
         Targets(np.asarray(world, np.float32), axes, variance, variance, hosts),
         cut(image, at, points[:, 2], facing, STILL, PINHOLE),
+        np.arange(n),
     )
 
 

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ _LEAST_RETURN = 0.055  # of a white surface at 1 m, seen straight on
 class UncalibratedLight:
     """Kinect v1 with a depth bias and a misregistration of its own, holes where little returns."""
 
-    noise = StructuredLight.noise
+    noise = replace(StructuredLight.noise, depth_bias=0.01)
     lag_ms = StructuredLight.lag_ms
     offset_ms = StructuredLight.offset_ms
     sees_texture = True

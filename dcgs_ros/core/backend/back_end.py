@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The back end: finds places that the camera has seen before, and corrects the keyframes' poses.
+
+There is no thread in it. Who drives it calls `add` with each keyframe, which costs nothing, and
+`work` when there is time: between frames, or in a thread of its own.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..camera import PinholeCamera
+from ..config.stages import Config
+from ..keyframe import Correction, Keyframe
+from ..tracking.relocalization import Recogniser
+from .closure import Closures
+from .consistency import Consistency, Loop
+from .keyframe_graph import BackEndError, KeyframeGraph
+
+# A Gaussian of the map is known to some 5 mm: its depth is, at a few metres, and a turn by 5 mrad
+# moves it so far one metre away. Smaller corrections would not be seen in the map, and each costs
+# the tracker a swap of all of it.
+_SEEN_M, _SEEN_RAD = 5e-3, 5e-3
+
+
+class LoopFinder(Protocol):
+    """Recognises places and measures where keyframes are to each other."""
+
+    @property
+    def places(self) -> Recogniser:
+        """Recognises the places of the keyframes; may be called from any thread."""
+        ...
+
+    def add(self, keyframe: Keyframe) -> None:
+        """Keep what is needed of the next keyframe."""
+        ...
+
+    def close(self, keyframe: int) -> Sequence[Loop]:
+        """Return what joins a keyframe with earlier ones."""
+        ...
+
+
+class BackEnd:
+    """Places, loops, consistency and pose graph."""
+
+    def __init__(
+        self, camera: PinholeCamera, config: Config, finder: LoopFinder | None = None
+    ) -> None:
+        """Start without keyframes; by default `Closures` find the loops."""
+        self._camera, self._config = camera, config
+        self._finder = finder or Closures(camera, config)
+        self._graph = KeyframeGraph()
+        self._consistency = Consistency()
+        self._queue: queue.SimpleQueue[Keyframe] = queue.SimpleQueue()
+        self._revision = 0
+        self._told = np.empty((0, 4, 4))  # where the tracker has the keyframes
+        self._told_submaps: list[int] = []
+
+    def add(self, keyframe: Keyframe) -> None:
+        """Take the tracker's next keyframe; nothing is done with it yet."""
+        self._queue.put(keyframe)
+
+    def work(self) -> Correction | None:
+        """Do all that is due; return better poses where they would be seen in the map.
+
+        Raises `BackEndError` for a keyframe that is not the next one.
+        """
+        while not self._queue.empty():
+            keyframe = self._queue.get()
+            self._insert(keyframe)
+            self._close(len(self._graph) - 1)
+        if not self._is_worth_telling():
+            return None
+        self._revision += 1
+        correction = self._graph.correction(self._revision)
+        self._told, self._told_submaps = correction.T_world_cam, list(self._graph.submaps)
+        return correction
+
+    def adjusted(self) -> NDArray[np.float64]:
+        """Return the best poses (K, 4, 4) of the keyframes that `work` has taken in.
+
+        They agree best with odometry, loops, and what the keyframes see of the same corners.
+        """
+        self._graph.optimise()
+        return self._graph.adjusted(self._camera, self._config)
+
+    def restore(self, stamps_ns: Sequence[int], T_world_cam: NDArray[np.float64]) -> None:
+        """Begin with the keyframes (K, 4, 4) of a map, which stay as they are to each other.
+
+        The tracker's next keyframe is to have the index K. What recognises these keyframes is
+        given to the finder of loops separately. Raises `BackEndError` if there are keyframes.
+        """
+        self._graph.restore(stamps_ns, T_world_cam)
+        self._told, self._told_submaps = self._graph.poses, list(self._graph.submaps)
+
+    @property
+    def places(self) -> Recogniser:
+        """Recognises the places of the keyframes; may be called from any thread."""
+        return self._finder.places
+
+    @property
+    def keyframes(self) -> int:
+        """How many keyframes `work` has taken in."""
+        return len(self._graph)
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(K, 4, 4) T_world_cam of the keyframes as they are now."""
+        return self._graph.poses
+
+    @property
+    def loops(self) -> tuple[Loop, ...]:
+        """Loops that are believed."""
+        return tuple(self._graph.loops)
+
+    @property
+    def rejected(self) -> tuple[Loop, ...]:
+        """Loops that were believed until others contradicted."""
+        return tuple(self._graph.rejected)
+
+    def _insert(self, keyframe: Keyframe) -> None:
+        if keyframe.odometry is None:
+            raise BackEndError(f'keyframe {len(self._graph)} comes without its odometry')
+        odometry = keyframe.odometry
+        T, stamp_ns = keyframe.T_world_cam, keyframe.frame.stamp_ns
+        self._graph.add(stamp_ns, T, odometry, keyframe.sightings)
+        if len(odometry.hosts):
+            T = self._told[odometry.hosts[0]] @ odometry.T_host_cam[0]
+        self._told = np.concatenate([self._told, [T]])
+        host = int(odometry.hosts[0]) if len(odometry.hosts) else -1
+        self._told_submaps.append(self._told_submaps[host] if host >= 0 else odometry.submap)
+        self._finder.add(keyframe)
+
+    def _close(self, keyframe: int) -> None:
+        """Look for loops of a keyframe, and optimise with those that are believed."""
+        found = self._finder.close(keyframe)
+        if not found:
+            return
+        steps = self._graph.steps()
+        for loop in found:
+            self._consistency.add(loop, self._graph.poses, steps)
+        believed = self._consistency.decide(self._graph.poses)
+        if not believed:
+            return
+        self._graph.believe(believed)
+        if any(_is_seen(self._graph.gap(loop)) for loop in believed):
+            self._graph.optimise()
+
+    def _is_worth_telling(self) -> bool:
+        """Return whether a keyframe has moved so far that it is seen, or sub-maps were joined."""
+        if self._told_submaps != self._graph.submaps:
+            return True
+        pairs = zip(self._told, self._graph.poses, strict=True)
+        return any(_is_seen(se3.log(se3.inverse(T) @ moved)) for T, moved in pairs)
+
+
+def _is_seen(xi: NDArray[np.float64]) -> bool:
+    """Return whether a motion (6,) would be seen in the map."""
+    return bool(np.linalg.norm(xi[:3]) > _SEEN_M or np.linalg.norm(xi[3:]) > _SEEN_RAD)

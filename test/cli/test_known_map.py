@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,6 @@ from running import (  # type: ignore[import-not-found]
 from dcgs_ros.cli.main import main
 from dcgs_ros.cli.run import session
 from dcgs_ros.core.config.schema import override
-from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.io.map_archive import MapFileError, SavedMap, read_map
@@ -81,7 +81,7 @@ def test_poses_of_the_second_session_are_in_the_world_of_the_first(
 
 
 def test_localising_changes_nothing_in_the_map(first: SavedMap) -> None:
-    """Where a mapping tracker makes keyframes, to the byte, also in an unknown place."""
+    """Where a mapping tracker makes keyframes, to the byte."""
     often = {'keyframes.translation_m': 0.01, 'keyframes.min_interval_s': 0.0}
     source = SyntheticSource.from_address(SMALL_ADDRESS)
     made = {}
@@ -95,7 +95,21 @@ def test_localising_changes_nothing_in_the_map(first: SavedMap) -> None:
     assert any(made[False][1]) and not any(made[True][1])
     assert made[True][0].is_same_map(first.tracker)
     assert not made[False][0].is_same_map(first.tracker)
-    assert Config().keyframes.new_submap_s is not None  # else a place is never unknown
+
+
+@pytest.mark.parametrize('localize_only', [False, True])
+def test_only_who_maps_begins_a_sub_map_in_an_unknown_place(
+    first: SavedMap, localize_only: bool
+) -> None:
+    source = SyntheticSource.from_address('synthetic:desk?frames=12')
+    config = override(replace(first.config, sensor=source.sensor), {'keyframes.new_submap_s': 0.2})
+    tracker = Tracker(source.camera, config)
+    first.tracker.resume(tracker, first.camera)
+    tracker.localize_only = localize_only
+    for frame in source:
+        tracker.track(frame)
+    assert (tracker.keyframes > len(first.tracker.poses)) != localize_only
+    assert tracker.searching == localize_only
 
 
 def test_a_session_that_fails_leaves_the_first_map(

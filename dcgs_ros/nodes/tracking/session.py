@@ -28,8 +28,9 @@ from ..messages.packet import KeyframePacket
 from .back_end_worker import Loops, NoLoops
 from .corrected import Corrected
 from .health import numbers
-from .known_map import Known
+from .known_map import Known, KnownMap
 
+_OTHER_CAMERA = 'the map was made with another camera: it can be tracked in, but not extended'
 _LOOKING = 'looking for the camera in the map'
 
 
@@ -179,6 +180,8 @@ class TrackingSession:
             self.epoch = self._resumable.epoch
             self._resumable.resume(self.tracker)
             self.tracker.localize_only = self._localize_only
+            if isinstance(self._resumable, KnownMap) and self._resumable.camera != camera:
+                self._warn(_OTHER_CAMERA)
             self._loops.leave()
         else:
             self.tracker.recogniser = self._loops.begin(camera, self.config, self.epoch)

@@ -523,6 +523,7 @@ def test_where_it_only_localises_nothing_is_sent_and_the_map_is_never_left(
     results = again.feed(frames[9:], by_ns=SECOND)
     assert states(results)[-1] is not TrackingState.LOST and not again.packets
     assert again.session.tracker is not None
+    assert any('the map was made with another camera' in line for line in again.warnings)
     assert known.tracker.is_same_map(SavedTracker.of(again.session.tracker))
 
 

@@ -128,6 +128,13 @@ class RunArguments(_WithOptions):
     mapping: bool = True
     """Build a map. With --no-mapping the camera is only tracked."""
 
+    map: Annotated[Path | None, _optional('FILE')] = None
+    """A map.dcgs to begin in: the camera is looked for in it, and the map is extended by this
+    session. FILE stays as it is; the map of both sessions goes to the output folder."""
+
+    localize: bool = False
+    """Only track the camera in the map of --map, and leave the map as it is."""
+
     loops: bool = True
     """Recognise places and close loops. With --no-loops no pose is corrected later, as in the
     paper."""
@@ -225,7 +232,10 @@ class RenderArguments:
 
 @dataclass(frozen=True)
 class InfoArguments(_WithOptions):
-    """Describe a sequence: its camera, its timing, and the content of its first frames."""
+    """Describe a sequence: its camera, its timing, and the content of its first frames; or a map.
+
+    Of a map.dcgs: its size, Gaussians, keyframes, sessions and extent, and whether it is whole.
+    """
 
     source: Source
 

@@ -1,17 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""`dcgs info`: describe a sequence without tracking it."""
+"""`dcgs info`: describe a sequence without tracking it, or a map."""
 
 from __future__ import annotations
 
 from contextlib import closing
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
-from ..core.camera import PinholeCamera
 from ..core.frame import RgbdFrame
-from ..core.sensor import SensorNoise
 from ..core.trajectory import Trajectory
 from ..datasets.bag.source import BagSource
 from ..datasets.open import open_source
@@ -19,7 +18,8 @@ from ..datasets.prefetch import prefetch
 from ..datasets.source import BadFrame, Source
 from ..datasets.undescribed.source import UndescribedError
 from ..evaluation.depth_range import DepthSurvey
-from .arguments import InfoArguments
+from .arguments import InfoArguments, UsageError
+from .map_info import MAP_SUFFIX, camera_text, describe_map, sensor_text
 from .tables import Row, table
 
 _SAMPLE = 60  # frames read, from the first
@@ -27,6 +27,10 @@ _SAMPLE = 60  # frames read, from the first
 
 def execute(arguments: InfoArguments) -> int:
     """Print what the files and the first frames say, or a dcgs.yaml that would read them."""
+    if arguments.source.endswith(MAP_SUFFIX):
+        if arguments != InfoArguments(arguments.source):
+            raise UsageError(f'{arguments.source}: the options are for sequences, not for maps')
+        return describe_map(Path(arguments.source))
     try:
         source = open_source(arguments.source, arguments.camera, None, arguments.options)
     except UndescribedError as error:
@@ -37,8 +41,8 @@ def execute(arguments: InfoArguments) -> int:
         ('frames', f'{len(source)}; the following is from the first {len(frames) + len(bad)}'),
         *_timing_rows(frames, len(source)),
         *_recording_rows(source),
-        ('camera', _camera(source.camera)),
-        ('sensor', _sensor(source.sensor)),
+        ('camera', camera_text(source.camera)),
+        ('sensor', sensor_text(source.sensor)),
         ('depth unit', _unit(source.depth_per_metre)),
         *_depth_rows(frames, source),
         ('ground truth', _truth(source.groundtruth)),
@@ -115,21 +119,6 @@ def _depth_rows(frames: list[RgbdFrame], source: Source) -> list[Row]:
         ('depth range', f'{low:.2f} to {high:.2f} m (5-95 %), median {median:.2f}'),
         *([] if warning is None else [('warning', warning)]),
     ]
-
-
-def _camera(camera: PinholeCamera) -> str:
-    lens = ' '.join(f'{k:g}' for k in camera.distortion)
-    return (
-        f'{camera.width}x{camera.height}; fx {camera.fx:g} fy {camera.fy:g} cx {camera.cx:g} '
-        f'cy {camera.cy:g}; ' + (f'distortion {lens}' if lens else 'no distortion')
-    )
-
-
-def _sensor(sensor: SensorNoise) -> str:
-    return (
-        f'sigma(z) = {1e3 * sensor.a_m:g} mm + {1e3 * sensor.b_per_m:.3g} mm/m^2 z^2, used from '
-        f'{sensor.depth_min_m:g} to {sensor.depth_max_m:g} m'
-    )
 
 
 def _truth(truth: Trajectory | None) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..core.mapping.corrections import Corrections
 from ..core.mapping.exposure import Exposure
 from ..core.render.renderer import Renderer, Rendering, View
-from ..io.map_archive import MapFileError, SavedMap
+from ..io.map_archive import MapFileError, SavedKeyframe, SavedMap
 
 _ROUNDING = 1e-6  # of a rotation matrix after thousands of small updates
 _FARTHEST_M = 1e9
@@ -23,7 +23,7 @@ class MapView:
         """Raise `MapFileError` as `read_corrections` does."""
         self._corrections = read_corrections(saved)
         self._saved, self._renderer = saved, renderer
-        self.keyframes = frozenset(keyframe.stamp_ns for keyframe in saved.keyframes)
+        self.keyframes = frozenset(keyframe.stamp_ns for keyframe in _of_last_session(saved))
 
     def show(self, stamp_ns: int, T_tracked: NDArray[np.float64]) -> Rendering:
         """Render at the tracked pose (4, 4); the result is valid until the next call."""
@@ -38,14 +38,14 @@ class MapView:
 
 
 def read_corrections(saved: SavedMap) -> Corrections:
-    """Return the corrections of poses and exposures that the mapper made to its keyframes.
+    """Return the corrections that the mapper made to the keyframes of the last session.
 
     Raises `MapFileError` for a map without Gaussians, or whose keyframes have unordered stamps or
     invalid poses.
     """
     if not len(saved.splats):
         raise MapFileError('map holds no Gaussian')
-    keyframes = saved.keyframes  # at least one: every Gaussian has a host keyframe
+    keyframes = _of_last_session(saved)  # at least one: every Gaussian has a host
     stamps_ns = np.array([keyframe.stamp_ns for keyframe in keyframes], np.int64)
     if np.any(stamps_ns[1:] <= stamps_ns[:-1]):
         raise MapFileError('stamps of the keyframes do not increase')
@@ -57,6 +57,12 @@ def read_corrections(saved: SavedMap) -> Corrections:
             raise MapFileError(f'{name} of keyframe {bad[0]} is not a pose')
     exposures = [Exposure(*keyframe.exposure) for keyframe in keyframes]
     return Corrections(stamps_ns, T_tracked, T_world_cam, exposures)
+
+
+def _of_last_session(saved: SavedMap) -> tuple[SavedKeyframe, ...]:
+    """Return the keyframes of the last session that has any: those of several may look alike."""
+    views = [session.views for session in saved.sessions if session.views]
+    return saved.keyframes[-views[-1] :] if views else ()
 
 
 def _rigid(poses: NDArray[np.float64]) -> NDArray[np.bool_]:

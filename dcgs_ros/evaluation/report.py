@@ -115,7 +115,7 @@ class RunRecord:
     def _placed(self, final: FinalMap, T_world_keyframe: NDArray[np.float64]) -> Trajectory:
         frames = [f.result for f in self.tracked if f.result.state is not TrackingState.LOST]
         placed = [(r.stamp_ns, r.reference) for r in frames if r.reference is not None]
-        submaps = final.submaps[[reference.keyframe for _, reference in placed]]
+        submaps = final.submaps[np.array([r.keyframe for _, r in placed], np.int64)]
         main = int(np.bincount(submaps, minlength=1).argmax())
         poses = {
             stamp_ns: T_world_keyframe[reference.keyframe] @ reference.T_keyframe_cam

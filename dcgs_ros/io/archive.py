@@ -4,12 +4,14 @@
 
 Members are stored, not deflated: floats hardly compress, and a stored member cannot expand. The
 first is `metadata.json` with the version; arrays are `NAME.npy`. Equal contents give equal bytes.
+The zip's comment is the digest of all other bytes, which reading verifies.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import zipfile
 from collections.abc import Mapping
@@ -21,10 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .digest import SEAL_LENGTH, is_sealed, seal_holds, seal_zip
 from .whole_files import replacing
 from .zip_members import MEMBER_LIMIT, MEMBERS_LIMIT, ArchiveError, check_name, read_members
 
-VERSION = 1  # of the archive and of what the package keeps in one
+# Of the archive and of what the package keeps in one. 1: without a digest; of the tracker's map
+# only viewpoints and Sigma_t, and no sessions.
+VERSION = 2
 
 _FORMAT = 'dcgs_ros archive'
 _METADATA = 'metadata.json'
@@ -50,6 +55,7 @@ class Archive:
     arrays: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, Any]
     blobs: Mapping[str, bytes]
+    version: int = VERSION  # of the file that it was read from
 
 
 def write_archive(
@@ -70,16 +76,22 @@ def write_archive(
     except ArchiveError as error:
         raise ArchiveError(f'{path}: not written: {error}') from None
     try:
-        with replacing(path) as temporary, zipfile.ZipFile(temporary, 'w') as archive:
-            for name, content in members.items():
-                # By default ZipInfo's date is 1980 and its method to store.
-                with archive.open(zipfile.ZipInfo(name), 'w') as member:
-                    if isinstance(content, bytes):
-                        member.write(content)
-                    else:
-                        np.lib.format.write_array(member, content, (1, 0), allow_pickle=False)
+        with replacing(path) as temporary:
+            _write_zip(temporary, members)
+            seal_zip(temporary)
     except OSError as error:
         raise ArchiveError(f'{path}: cannot be written: {error.strerror or error}') from error
+
+
+def _write_zip(path: Path, members: Mapping[str, bytes | NDArray[Any]]) -> None:
+    with zipfile.ZipFile(path, 'w') as archive:
+        for name, content in members.items():
+            # By default ZipInfo's date is 1980 and its method to store.
+            with archive.open(zipfile.ZipInfo(name), 'w') as member:
+                if isinstance(content, bytes):
+                    member.write(content)
+                else:
+                    np.lib.format.write_array(member, content, (1, 0), allow_pickle=False)
 
 
 def read_archive(path: Path | str) -> Archive:
@@ -139,7 +151,7 @@ def _read(file: BufferedReader) -> Archive:
     name, data = next(members)
     if name != _METADATA:
         raise ArchiveError(f'begins with {name!r}, not with {_METADATA}')
-    metadata = _decode_metadata(data)
+    version, metadata = _decode_metadata(data)
     arrays: dict[str, NDArray[Any]] = {}
     blobs: dict[str, bytes] = {}
     for name, data in members:
@@ -148,11 +160,21 @@ def _read(file: BufferedReader) -> Archive:
             arrays[name] = _decode_array(name, data)
         else:
             blobs[name] = bytes(data)
-    return Archive(arrays, metadata, blobs)
+    if version > 1:
+        _check_seal(file)
+    return Archive(arrays, metadata, blobs, version)
 
 
-def _decode_metadata(data: bytes | bytearray) -> dict[str, Any]:
-    """Return the metadata; raises `ArchiveError` if the format or version is another."""
+def _check_seal(file: BufferedReader) -> None:
+    """Check the digest of the whole file; raises `ArchiveError`."""
+    if not is_sealed(file):
+        raise ArchiveError('has no digest at its end')
+    if not seal_holds(file, os.fstat(file.fileno()).st_size - SEAL_LENGTH):
+        raise ArchiveError('is damaged: its digest is not that of its contents')
+
+
+def _decode_metadata(data: bytes | bytearray) -> tuple[int, dict[str, Any]]:
+    """Return version and metadata; raises `ArchiveError` if the format or version is another."""
     if len(data) > _METADATA_LIMIT:
         raise ArchiveError(f'{_METADATA} has {len(data)} bytes, more than {_METADATA_LIMIT}')
     try:
@@ -164,9 +186,9 @@ def _decode_metadata(data: bytes | bytearray) -> dict[str, Any]:
     version, metadata = tree.get('version'), tree.get('metadata')
     if not isinstance(version, int) or not isinstance(metadata, dict):
         raise ArchiveError(f'{_METADATA} lacks the version or the metadata')
-    if version != VERSION:
-        raise ArchiveError(f'is of version {version}; this program reads version {VERSION}')
-    return metadata
+    if not 1 <= version <= VERSION:
+        raise ArchiveError(f'is of version {version}; this program reads versions 1 to {VERSION}')
+    return version, metadata
 
 
 def _decode_array(name: str, data: bytes | bytearray) -> NDArray[Any]:

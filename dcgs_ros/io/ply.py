@@ -7,12 +7,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.mapping.splats import PLANES, Splats
 from .compressed_ply import is_compressed, read_compressed
+from .digest import SEAL_LENGTH, is_mark, seal, seal_holds
 from .ply_elements import PlyElement, PlyError, PlyReader
 from .whole_files import replacing
 
@@ -21,28 +23,31 @@ _WRITTEN = (
     'x', 'y', 'z', 'nx', 'ny', 'nz', 'f_dc_0', 'f_dc_1', 'f_dc_2', 'opacity', 'scale_0', 'scale_1',
     'scale_2', 'rot_0', 'rot_1', 'rot_2', 'rot_3',
 )  # fmt: skip
+_SEALED = b'ply\nformat binary_little_endian 1.0\ncomment '  # then the digest of the other bytes
 _FLOATS = ('float', 'float32', 'double', 'float64')
 
 
 def write_ply(path: Path | str, splats: Splats) -> None:
     """Write float properties in the usual order, little-endian; the normals (nx ny nz) are zeros.
 
-    The file is written completely or not at all. Raises `PlyError` if it cannot be written, or if
-    Gaussians are not finite.
+    A comment of the header, which other programs skip, is the digest of the rest. The file is
+    written completely or not at all. Raises `PlyError` if it cannot be written, or if Gaussians
+    are not finite.
     """
     path = Path(path)
     bad = len(splats) - np.count_nonzero(_finite(splats.planes))
     if bad:
         raise PlyError(f'{path}: not written: {bad} of {len(splats)} Gaussians are not finite')
-    header = ['ply', 'format binary_little_endian 1.0', f'element vertex {len(splats)}']
+    header = [_SEALED.decode() + '?' * SEAL_LENGTH, f'element vertex {len(splats)}']
     header += [f'property float {name}' for name in _WRITTEN]
     rows = np.zeros((len(splats), len(_WRITTEN)), '<f4')
     for name, plane in zip(PLANES, splats.planes, strict=True):
         rows[:, _WRITTEN.index(name)] = plane
     try:
-        with replacing(path) as temporary, open(temporary, 'wb') as file:
+        with replacing(path) as temporary, open(temporary, 'w+b') as file:
             file.write('\n'.join([*header, 'end_header\n']).encode('ascii'))
             file.write(rows.data)
+            file.write(seal(file, len(_SEALED), len(_SEALED) + SEAL_LENGTH))
     except OSError as error:
         raise PlyError(f'{path}: cannot be written: {error.strerror or error}') from error
 
@@ -51,12 +56,14 @@ def read_ply(path: Path | str, warn: Callable[[str], None] = warnings.warn) -> S
     """Read the planes of `Splats` from a binary, an ascii or SuperSplat's compressed PLY.
 
     Properties may be in any order and among others. Of the spherical harmonics only degree 0 is
-    read (not f_rest_*). Gaussians that are not finite, as trainers write them for an opacity of
-    exactly one, are left out, and `warn` is told how many. Raises `PlyError` naming the file and
-    what is wrong with it; no more is allocated than a few times what the file holds.
+    read (not f_rest_*). A digest that `write_ply` put there must hold. Gaussians that are not
+    finite, as trainers write them for an opacity of exactly one, are left out, and `warn` is told
+    how many. Raises `PlyError` naming the file and what is wrong with it; no more is allocated
+    than a few times what the file holds.
     """
     try:
         with open(path, 'rb') as file:
+            _check_seal(file)
             planes = _read_planes(PlyReader(file))
     except OSError as error:
         raise PlyError(f'{path}: cannot be read: {error.strerror or error}') from error
@@ -71,6 +78,14 @@ def read_ply(path: Path | str, warn: Callable[[str], None] = warnings.warn) -> S
         warn(f'{text} and are left out')
         planes = np.ascontiguousarray(planes[:, finite])
     return Splats(planes)
+
+
+def _check_seal(file: BinaryIO) -> None:
+    """Check the digest, if there is one; leave the file at its start. Raises `PlyError`."""
+    sealed = file.read(len(_SEALED)) == _SEALED and is_mark(file)
+    if sealed and not seal_holds(file, len(_SEALED)):
+        raise PlyError('is damaged: its digest is not that of its contents')
+    file.seek(0)
 
 
 def _finite(planes: NDArray[np.float32]) -> NDArray[np.bool_]:

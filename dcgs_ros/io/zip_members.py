@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from io import BufferedReader
 
 from ..core.errors import DcgsError
+from .digest import SEAL_LENGTH, is_sealed
 
 # What zip files can hold without the ZIP64 extensions.
 MEMBERS_LIMIT = (1 << 16) - 1
@@ -94,7 +95,8 @@ def _read_member(file: BufferedReader, head: bytes) -> tuple[str, bytes | bytear
 
 def _check_end(file: BufferedReader, head: bytes, members: int) -> None:
     """Check that a complete directory of so many members follows; raises `ArchiveError`."""
-    start = max(0, os.fstat(file.fileno()).st_size - _END.size)
+    comment = SEAL_LENGTH if is_sealed(file) else 0
+    start = max(0, os.fstat(file.fileno()).st_size - _END.size - comment)
     file.seek(start)
     end = file.read(_END.size)
     if not head.startswith(_CENTRAL_SIGNATURE) or not end.startswith(_END_SIGNATURE):

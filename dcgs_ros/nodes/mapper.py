@@ -8,6 +8,8 @@ and publishes.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,7 @@ from .transport import RELIABLE, latched
 _PAUSE_S = 0.01
 _AFTER_RESET = 'the map is empty; keyframes that the tracker keeps come again'
 _LIVE = ('mapping', 'rates')
+_FIXED = ('seed', 'ssim_weight', 'depth_weight')
 
 
 class MapperNode(Node):
@@ -56,14 +59,21 @@ class MapperNode(Node):
         settings = self._params.settings
         self._keyframes = KeyframeSubscriber(self)
         trackers = self._keyframes.trackers
-        self._session = MappingSession(core_config(settings), self._warn, trackers)
+        localizes = settings.node.mode == 'localization'
+        self._session = MappingSession(core_config(settings), self._warn, trackers, localizes)
+        if settings.node.map:
+            self.get_logger().info(self._session.load(Path(settings.node.map)))
+        elif localizes:
+            raise DcgsError('node.mode is localization, but node.map names no map')
+        self._autosave_s, self._autosaved = time.monotonic(), 0
         self._outputs = MapOutputs(self, settings.node)
         self._queue = self._keyframes.queue
         self._pose: PoseStamped | None = None  # latest of the camera
         self._ready = False
         self.create_subscription(PoseStamped, 'camera_pose', self._on_pose, RELIABLE)
         self.create_subscription(PointCloud2, 'keyframe_poses', self._on_poses, latched(1))
-        offer(self, '~/save_map', self._on_save)
+        offer(self, '~/save_map', lambda: self._when_ready(self._save))
+        offer(self, '~/load_map', lambda: self._when_ready(self._load))
         offer(self, '~/reset', self._on_reset)
         self._worker = Worker(self, self._work, 'mapping')
 
@@ -78,8 +88,8 @@ class MapperNode(Node):
             return
         self._queue.submit(lambda: self._correct(correction, epoch))
 
-    def _on_save(self) -> Future[str]:
-        return self._queue.submit(self._save) if self._ready else refused(LOADING.message)
+    def _when_ready(self, work: Callable[[], str]) -> Future[str]:
+        return self._queue.submit(work) if self._ready else refused(LOADING.message)
 
     def _on_reset(self) -> Future[str]:
         done = self._queue.submit(self._reset)
@@ -87,6 +97,29 @@ class MapperNode(Node):
 
     def _save(self) -> str:
         return self._session.save(Path(self._params.settings.node.save_folder))
+
+    def _load(self) -> str:
+        path = self._params.settings.node.map
+        if not path:
+            raise DcgsError('node.map names no map')
+        text = self._session.load(Path(path))
+        self._outputs.keyframes(self._session.mapper)
+        self._outputs.update(self._session.mapper)
+        return text
+
+    def _autosave(self) -> None:
+        """Save the map when that is due and it has changed."""
+        settings, mapper = self._params.settings.node, self._session.mapper
+        if settings.autosave_s <= 0 or time.monotonic() < self._autosave_s + settings.autosave_s:
+            return
+        self._autosave_s = time.monotonic()
+        if mapper is None or mapper.steps == self._autosaved or not len(mapper.table):
+            return
+        try:
+            self._session.autosave(Path(settings.save_folder))
+            self._autosaved = mapper.steps
+        except DcgsError as error:
+            self._warn(f'map not saved: {error}')
 
     def _reset(self) -> str:
         self._session.reset()
@@ -106,7 +139,9 @@ class MapperNode(Node):
         warm_up_with_mapper(ANY_CAMERA, self._params.settings)
         self._ready = True
         self.get_logger().info('ready')
-        outputs.keyframes(None)  # so that a tracker that runs already sends its keyframes
+        outputs.keyframes(
+            session.mapper
+        )  # so that a tracker that runs already sends its keyframes
         busy = False
         while not self._queue.closed:
             parts = self._queue.take(0.0 if busy else _PAUSE_S)
@@ -115,6 +150,7 @@ class MapperNode(Node):
             outputs.update_when_due(session.mapper)
             if outputs.render_due() and self._pose is not None:
                 self._render(self._pose)
+            self._autosave()
             busy = parts is not None or session.advance()
 
     def _insert(self, parts: dict[str, Any]) -> None:
@@ -170,7 +206,7 @@ class MapperNode(Node):
 def _is_live(key: str) -> bool:
     """Return whether a setting may change while mapping."""
     stage, _, name = key.partition('.')
-    return stage in _LIVE and name not in ('seed', 'ssim_weight', 'depth_weight')
+    return key == 'node.map' or (stage in _LIVE and name not in _FIXED)
 
 
 def main() -> int:

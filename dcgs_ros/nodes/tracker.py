@@ -7,7 +7,9 @@ The executor's thread receives and pairs images, a second thread tracks, a third
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 
 import numpy as np
 from rclpy.node import Node
@@ -23,13 +25,14 @@ from .health import LOADING, Verdict
 from .lifetime import Worker, run
 from .parameters import Parameters
 from .reporter import Reporter
-from .services import answered, offer
+from .services import answered, offer, refused
 from .tracking.back_end import make_loops, warm_up_loops
 from .tracking.camera_subscriber import CameraSubscriber
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
+from .tracking.known_map import KnownMap, preferred, save
 from .tracking.mapper_subscriber import MapperSubscriber
 from .tracking.outputs import TrackerOutputs
 from .tracking.pairing import ImagePair
@@ -55,8 +58,14 @@ class TrackerNode(Node):
         self._camera = CameraSubscriber(
             self, node_settings, self._warn, self._outputs.lookup, self._reporter.inform
         )
+        localizes = node_settings.mode == 'localization'
+        self._known = KnownMap.read(Path(node_settings.map)) if node_settings.map else None
+        if localizes and self._known is None:
+            raise DcgsError('node.mode is localization, but node.map names no map')
         self._loops = make_loops(settings, self._on_correction, self._warn)
-        self._session = TrackingSession(core_config(settings), np.eye(4), self._warn, self._loops)
+        self._session = TrackingSession(
+            core_config(settings), np.eye(4), self._warn, self._loops, localizes
+        )
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
         self._sender = KeyframeSender(publisher, memory_mb, self._session.alive)
@@ -64,6 +73,8 @@ class TrackerNode(Node):
             self, self._on_answer, self._sender.acknowledge, self._warn
         )
         offer(self, '~/reset', self._on_reset)
+        offer(self, '~/save_map', lambda: self._when_ready(self._save))
+        offer(self, '~/load_map', lambda: self._when_ready(self._load))
         self._ready = False
         self._worker = Worker(self, self._work, 'tracking')
 
@@ -89,6 +100,25 @@ class TrackerNode(Node):
         self._sender.forget()
         self._outputs.forget()
         return _AFTER_RESET
+
+    def _when_ready(self, work: Callable[[], str]) -> Future[str]:
+        return self._camera.queue.submit(work) if self._ready else refused(LOADING.message)
+
+    def _save(self) -> str:
+        known = self._session.known
+        before = known.sessions if isinstance(known, KnownMap) else ()
+        folder = Path(self._params.settings.node.save_folder)
+        return save(self._session.tracker, folder, before)
+
+    def _load(self) -> str:
+        path = self._params.settings.node.map
+        if not path:
+            raise DcgsError('node.map names no map')
+        self._known = KnownMap.read(Path(path))
+        self._session.load(self._known)
+        self._sender.forget()
+        self._outputs.forget()
+        return f'{self._known} in {path}: the camera is looked for in it'
 
     def _reconfigure(self, settings: TrackerSettings) -> None:
         config = core_config(settings)
@@ -117,13 +147,14 @@ class TrackerNode(Node):
             self._outputs.progress(pair.color.header)
 
     def _resume(self) -> None:
-        """Go on in the map of a mapper, if that is set and there is one."""
+        """Go on in the map of a mapper, if that is set and there is one, or of a file."""
         settings = self._params.settings.node
-        found = self._mapper.resumable(settings.resume_wait_s) if settings.resume else None
-        if found is not None:
-            self._session.resume(found)
-            sizes = f'{len(found.rows)} Gaussians, {len(found.poses)} keyframes'
-            self.get_logger().info(f'going on in a map of {sizes}')
+        maps = settings.resume and settings.mode == 'mapping'
+        found = self._mapper.resumable(settings.resume_wait_s) if maps else None
+        chosen = preferred(found, self._known)
+        if chosen is not None:
+            self._session.resume(chosen)
+            self.get_logger().info(f'going on in a map of {chosen}')
 
     def _track(self, pair: ImagePair[SomeImage, SomeImage]) -> None:
         """Track a frame; publish its pose, then what the mapper should get."""
@@ -184,7 +215,7 @@ class TrackerNode(Node):
 
 def _is_live(key: str) -> bool:
     """Return whether a setting may change while tracking."""
-    return key.split('.')[0] not in _FIXED
+    return key == 'node.map' or key.split('.')[0] not in _FIXED
 
 
 def main() -> int:

@@ -22,9 +22,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from sealing import unsealed_zip  # type: ignore[import-not-found]
 
 from dcgs_ros.io import archive, zip_members
-from dcgs_ros.io.archive import VERSION, ArchiveError, read_archive, write_archive
+from dcgs_ros.io.archive import ArchiveError, read_archive, write_archive
+from dcgs_ros.io.digest import SEAL_LENGTH
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 DTYPES = ['|b1', '|i1', '|u1', '<i2', '<u2', '<i4', '<u4', '<i8', '<u8', '<f4', '<f8']
@@ -38,7 +40,8 @@ JSON = st.recursive(
 ARRAYS = st.sampled_from(DTYPES).flatmap(
     lambda dtype: hnp.arrays(dtype, hnp.array_shapes(min_dims=0, min_side=0, max_side=3))
 )
-GOOD_METADATA = json.dumps({'format': 'dcgs_ros archive', 'version': VERSION, 'metadata': {}})
+# Of version 1, which has no digest that would hide what else is wrong.
+GOOD_METADATA = json.dumps({'format': 'dcgs_ros archive', 'version': 1, 'metadata': {}})
 
 
 def small(path: Path) -> bytes:
@@ -225,7 +228,7 @@ HOSTILE = {
     ),
     'from the future': (
         packed(metadata=versioned(99)),
-        'version 99; this program reads version 1',
+        'version 99; this program reads versions 1 to 2',
     ),
     'version as text': (packed(metadata=versioned('1')), 'lacks the version'),
     'objects': (array(npy(np.array([None]), True)), r"'x' is of type b'\|O'"),
@@ -371,14 +374,36 @@ def read_or_refused(path: Path, content: bytes) -> bool:
 
 
 def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
-    good = small(tmp_path / 'a')
+    good = unsealed_zip(small(tmp_path / 'a'))
     read = sum(read_or_refused(tmp_path / 'a', damaged(good, seed)) for seed in range(400))
     assert 0 < read < 200
 
 
+def test_every_flipped_bit_is_found(tmp_path: Path) -> None:
+    """Of members, of the headers between them, of the directory, of the digest itself."""
+    good, path = small(tmp_path / 'a'), tmp_path / 'b'
+    for position, bit in enumerate(np.random.default_rng(5).integers(8, size=len(good))):
+        data = bytearray(good)
+        data[position] ^= 1 << bit
+        path.write_bytes(data)
+        with pytest.raises(ArchiveError):
+            read_archive(path)
+
+
+def test_a_digest_that_is_missing_or_wrong_is_said(tmp_path: Path) -> None:
+    path = tmp_path / 'a'
+    good = small(path)
+    path.write_bytes(good[:-1] + (b'0' if good[-1:] != b'0' else b'1'))
+    with pytest.raises(ArchiveError, match='a: is damaged: its digest is not that of its cont'):
+        read_archive(path)
+    path.write_bytes(good[: -SEAL_LENGTH - 2] + bytes(2))
+    with pytest.raises(ArchiveError, match='a: has no digest at its end'):
+        read_archive(path)
+
+
 def test_forged_members_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
     """Damage the contents but not their CRC, so that the parsers read them."""
-    small(tmp_path / 'a')
+    (tmp_path / 'a').write_bytes(unsealed_zip(small(tmp_path / 'a')))
     with zipfile.ZipFile(tmp_path / 'a') as opened:
         members = {name: opened.read(name) for name in opened.namelist()}
     metadata = members.pop('metadata.json').decode()

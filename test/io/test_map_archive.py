@@ -20,13 +20,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from sealing import unsealed_zip  # type: ignore[import-not-found]
 
 from dcgs_ros.core.camera import LARGEST, PinholeCamera
 from dcgs_ros.core.config.schema import flatten, override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.mapping.splats import Splats
+from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.io.archive import Archive, read_archive, write_archive
 from dcgs_ros.io.map_archive import MapFileError, SavedKeyframe, SavedMap, read_map, write_map
+from dcgs_ros.io.saved_tracker import SavedTracker
+from dcgs_ros.io.sessions import SavedSession
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 FLOAT32 = st.floats(width=32, allow_nan=False, allow_infinity=False)  # denormals and -0 too
@@ -55,6 +59,46 @@ def cameras(draw: st.DrawFn) -> PinholeCamera:
     )  # fmt: skip
 
 
+def numbers(draw: st.DrawFn, dtype: type, shape: Any) -> NDArray[Any]:
+    kinds: dict[type, st.SearchStrategy[Any]] = {np.float32: FLOAT32, np.float64: FLOAT64}
+    return draw(arrays(dtype, shape, elements=kinds[dtype]))
+
+
+@st.composite
+def trackers(draw: st.DrawFn) -> SavedTracker:
+    n, k = draw(st.integers(0, 3)), draw(st.integers(1, 3))
+    e = draw(st.integers(0, 2))
+    of_keyframe = st.integers(0, k - 1)
+    return SavedTracker(
+        ids=draw(arrays(np.int64, n, elements=st.integers(0, 99), unique=True)),
+        means=numbers(draw, np.float32, (n, 3)),
+        normals=numbers(draw, np.float32, (n, 3)),
+        flatness=numbers(draw, np.float32, n),
+        viewpoints=numbers(draw, np.float32, (n, 3)),
+        hosts=draw(arrays(np.int32, n, elements=of_keyframe)),
+        observers=draw(arrays(np.int32, n, elements=of_keyframe)),
+        next_id=draw(st.integers(100, 1 << 28)),
+        stamps_ns=draw(arrays(np.int64, k)),
+        poses=numbers(draw, np.float64, (k, 4, 4)),
+        submaps=draw(arrays(np.int32, k)),
+        covariances=numbers(draw, np.float64, (k, 6, 6)),
+        edges=draw(arrays(np.int32, (e, 2), elements=of_keyframe)),
+        edge_poses=numbers(draw, np.float64, (e, 4, 4)),
+        edge_shares=numbers(draw, np.float64, e),
+        usual=numbers(draw, np.float64, 4),
+        depth_bias=numbers(draw, np.float64, 5),
+    )
+
+
+@st.composite
+def sessions(draw: st.DrawFn, keyframes: int, views: int) -> tuple[SavedSession, ...]:
+    first = draw(st.integers(0, keyframes)), draw(st.integers(0, views))
+    counts = [first, (keyframes - first[0], views - first[1])]
+    name, camera = draw(st.text(max_size=9)), draw(cameras())
+    sensor = SensorNoise(a_m=draw(st.floats(1e-9, 1.0)))
+    return tuple(SavedSession(name, camera, sensor, *pair) for pair in counts)
+
+
 @st.composite
 def keyframes(draw: st.DrawFn) -> SavedKeyframe:
     return SavedKeyframe(
@@ -64,6 +108,8 @@ def keyframes(draw: st.DrawFn) -> SavedKeyframe:
         draw(arrays(np.float32, (2, 3), elements=FLOAT32)),
         draw(st.binary(max_size=20)),
         draw(st.binary(max_size=20)),
+        draw(st.integers(-1, 0)),
+        draw(st.integers(0, 2**31 - 1)),
     )
 
 
@@ -77,17 +123,23 @@ def maps(draw: st.DrawFn) -> SavedMap:
     covariances = draw(arrays(np.float32, (n, 6), elements=FLOAT32))
     viewpoints[ids < 0] = covariances[ids < 0] = np.nan
     hosts = st.integers(0, max(0, len(frames) - 1))
+    tracker = draw(trackers())
     return SavedMap(
         camera=draw(cameras()),
         config=override(Config(), draw(SETTINGS)),
         splats=Splats(draw(arrays(np.float32, (14, n), elements=FLOAT32))),
         ids=ids,
         hosts=draw(arrays(np.int32, n, elements=hosts)),
+        tracked_means=numbers(draw, np.float32, (n, 3)),
+        reach_m=np.abs(numbers(draw, np.float32, n)),
+        weights=numbers(draw, np.float32, n),
         viewpoints=viewpoints,
         track_covariances=covariances,
         landmarks=draw(arrays(np.float64, (landmarks, 3), elements=FLOAT64)),
         landmark_covariances=draw(arrays(np.float64, (landmarks, 3, 3), elements=FLOAT64)),
         keyframes=tuple(frames),
+        tracker=tracker,
+        sessions=draw(sessions(len(tracker.poses), len(frames))),
     )
 
 
@@ -103,12 +155,39 @@ def example(count: int = 5, frames: int = 2) -> SavedMap:
         splats=Splats(rng.normal(size=(14, count)).astype(np.float32)),
         ids=ids,
         hosts=rng.integers(frames, size=count).astype(np.int32),
+        tracked_means=np.random.default_rng(2).normal(size=(count, 3)).astype(np.float32),
+        reach_m=np.where(unknown[:, 0], np.inf, 0.01).astype(np.float32),
+        weights=np.ones(count, np.float32),
         viewpoints=np.where(unknown, np.nan, rng.normal(size=(count, 3))).astype(np.float32),
         track_covariances=np.where(unknown, np.nan, np.ones((count, 6))).astype(np.float32),
         landmarks=rng.normal(size=(3, 3)),
         landmark_covariances=np.tile(np.eye(3), (3, 1, 1)),
         keyframes=tuple(keyframe(stamp_ns=k) for k in range(frames)),
+        tracker=tracked(count, max(frames, 1)),
+        sessions=(session(max(frames, 1), frames),),
     )
+
+
+def tracked(count: int, frames: int) -> SavedTracker:
+    """Make a tracker's part with two edges to its first keyframe."""
+    rng = np.random.default_rng(1)
+    triples = rng.normal(size=(3, count, 3)).astype(np.float32)
+    hosts = rng.integers(frames, size=(2, count)).astype(np.int32)
+    return SavedTracker(
+        ids=np.arange(10, 10 + count), means=triples[0], normals=triples[1],
+        flatness=np.zeros(count, np.float32), viewpoints=triples[2], hosts=hosts[0],
+        observers=hosts[1], next_id=count + 20, stamps_ns=np.arange(frames),
+        poses=np.tile(np.eye(4), (frames, 1, 1)), submaps=np.zeros(frames, np.int32),
+        covariances=np.tile(np.eye(6), (frames, 1, 1)),
+        edges=np.array([[frames - 1, 0]] * 2, np.int32), edge_poses=rng.normal(size=(2, 4, 4)),
+        edge_shares=np.array([0.7, 0.3]), usual=np.array([0.8, 1.0, 0.9, 7.0]),
+        depth_bias=np.zeros(5),
+    )  # fmt: skip
+
+
+def session(keyframes: int, views: int) -> SavedSession:
+    camera = PinholeCamera(64, 48, 50.1, 50.2, 31.5, 23.5)
+    return SavedSession('desk', camera, SensorNoise(), keyframes, views)
 
 
 def keyframe(**changes: Any) -> SavedKeyframe:
@@ -124,7 +203,7 @@ def assert_same(found: Any, expected: Any) -> None:
         if isinstance(other, np.ndarray):
             assert (one.dtype, one.shape) == (other.dtype, other.shape), field.name
             assert one.tobytes() == other.tobytes(), field.name
-        elif isinstance(other, Splats):
+        elif isinstance(other, Splats | SavedTracker):
             assert_same(one, other)
         elif field.name == 'keyframes':
             assert len(one) == len(other)
@@ -141,7 +220,11 @@ def test_written_then_read_is_the_same_bit_for_bit(
 ) -> None:
     path = tmp_path_factory.mktemp('round') / 'a.map'
     write_map(path, saved)
-    assert_same(read_map(path), saved)
+    again = read_map(path)
+    assert_same(again, saved)
+    data = path.read_bytes()
+    write_map(path, again)
+    assert path.read_bytes() == data
 
 
 @pytest.mark.parametrize(('count', 'frames'), [(0, 0), (0, 2), (1, 1), (2000, 30)])
@@ -175,6 +258,72 @@ def test_what_is_read_can_be_changed_and_written_again(tmp_path: Path) -> None:
     assert_same(read_map(tmp_path / 'a'), again)
 
 
+TRACKER_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    'few': ({'ids': np.arange(4)}, r'tracker_means is .*\(5, 3\), not .*\(4, 3\)'),
+    'lost': ({'poses': np.full((2, 4, 4), np.nan)}, 'tracker_poses: 2 of 2 are not finite'),
+    'host': ({'hosts': np.full(5, 2, np.int32)}, 'tracker_hosts of 5 of 5 .* none of the 2 key'),
+    'observer': ({'observers': np.full(5, -1, np.int32)}, 'tracker_observers of 5 of 5'),
+    'edge': ({'edges': np.full((2, 2), 7, np.int32)}, 'tracker_edges of 4 of 4 .* first 7'),
+    'twice': ({'ids': np.full(5, 10)}, '5 Gaussians have only 1 different ids'),
+    'id given out': ({'next_id': 14}, 'ids of the tracker are 10 to 14, the next is 14'),
+    'ids without end': ({'next_id': 1 << 60}, 'the next is 1152921504606846976'),
+    'own': ({'ids': np.arange(-1, 4)}, 'ids of the tracker are -1 to 3'),
+}
+
+
+@pytest.mark.parametrize('fault', TRACKER_FAULTS)
+def test_a_tracker_that_contradicts_itself_cannot_be_made(fault: str) -> None:
+    changes, reason = TRACKER_FAULTS[fault]
+    with pytest.raises(MapFileError, match=reason):
+        dataclasses.replace(example().tracker, **changes)
+
+
+def test_keyframes_and_sessions_fit_the_tracker(tmp_path: Path) -> None:
+    good = example()
+    with pytest.raises(MapFileError, match='keyframe 2 is none of the 2 of the tracker'):
+        dataclasses.replace(good, keyframes=(keyframe(keyframe=2),) * 2)
+    for counts, what in (((3, 2), '3 keyframes, the map 2'), ((2, 1), '1 views, the map 2')):
+        with pytest.raises(MapFileError, match=f'sessions have {what}'):
+            dataclasses.replace(good, sessions=(session(*counts),))
+
+
+def test_what_is_written_of_sessions_is_checked_when_read(tmp_path: Path) -> None:
+    parts = parts_of(tmp_path / 'a')
+    good = json.loads(parts.blobs['sessions.json'])
+    bad: dict[str, Any] = {
+        'JSONDecodeError': b'[', 'TypeError': 7, 'KeyError': [{}],
+        'unknown setting': [good[0] | {'sensor': {'warp': 1}}],
+        'camera is not usable': [good[0] | {'camera': {}}],
+        "session 'desk' has x keyframes": [good[0] | {'keyframes': 'x'}],
+        'has -1 keyframes': [good[0] | {'keyframes': -1}],
+    }  # fmt: skip
+    for reason, rows in bad.items():
+        text = rows if isinstance(rows, bytes) else json.dumps(rows).encode()
+        changed = dataclasses.replace(parts, blobs={**parts.blobs, 'sessions.json': text})
+        with pytest.raises(MapFileError, match=reason):
+            read_map(written(tmp_path / 'a', changed))
+
+
+VERSION_1 = Path(__file__).parent / 'map_version_1.dcgs'  # of `example`, by the writer of then
+
+
+def test_a_map_of_version_1_is_read_and_its_tracker_made_up() -> None:
+    saved, expected = read_map(VERSION_1), example()
+    for name in ('ids', 'hosts', 'viewpoints', 'track_covariances', 'landmarks'):
+        np.testing.assert_array_equal(getattr(saved, name), getattr(expected, name))
+    np.testing.assert_array_equal(saved.splats.planes, expected.splats.planes)
+    assert (saved.camera, saved.config) == (expected.camera, expected.config)
+    assert (saved.version, expected.version) == (1, 2)
+    tracker = saved.tracker
+    np.testing.assert_array_equal(tracker.ids, saved.ids[saved.measured])
+    np.testing.assert_array_equal(tracker.hosts, saved.hosts[saved.measured])
+    np.testing.assert_array_equal(tracker.means, saved.splats.means.T[saved.measured])
+    assert tracker.next_id > tracker.ids.max() and len(tracker.poses) == 2
+    assert [k.keyframe for k in saved.keyframes] == [0, 1]
+    (only,) = saved.sessions
+    assert (only.camera, only.keyframes, only.views) == (saved.camera, 2, 2)
+
+
 def changed(name: str, index: Any, value: float) -> dict[str, NDArray[Any]]:
     saved = example()
     array = saved.splats.planes if name == 'splats' else getattr(saved, name)
@@ -202,6 +351,9 @@ FAULTS: dict[str, tuple[dict[str, NDArray[Any]], str]] = {
     'host': (changed('hosts', slice(3), 2), 'hosts of 3 of 5 Gaussians, the first 2, .* 2 keyfr'),
     'no host': (changed('hosts', 1, -1), 'hosts of 1 of 5 Gaussians, the first -1, are none'),
     'nan': (changed('splats', (slice(3), 4), np.nan), 'splats: 1 of 5 are not finite'),
+    'tracked': (changed('tracked_means', 0, np.nan), 'tracked_means: 1 of 5 are not finite'),
+    'reach': (changed('reach_m', 0, np.nan), 'reach_m: some are no numbers'),
+    'weights': ({'weights': np.zeros(5)}, 'weights is float64'),
     'infinity': (changed('splats', 0, np.inf), 'splats: 5 of 5 are not finite'),
     'viewpoint': (changed('viewpoints', 0, np.nan), 'viewpoints: 1 of 4 are not'),
     'covariance': (
@@ -281,6 +433,8 @@ FILE_FAULTS: dict[str, tuple[dict[str, NDArray[Any]], str]] = FAULTS | {
             'tracked': np.tile(np.eye(4), (3, 1, 1)),
             'poses': np.tile(np.eye(4), (3, 1, 1)),
             'exposures': np.ones((3, 2, 3), np.float32),
+            'keyframe_numbers': np.zeros(3, np.int32),
+            'visits': np.zeros(3, np.int32),
         },
         "holds no 'color_000002.jpg'",
     ),
@@ -302,7 +456,8 @@ def test_a_part_that_is_missing_is_named(tmp_path: Path) -> None:
     for group in ('arrays', 'metadata', 'blobs'):
         for name in getattr(parts, group):
             rest = {key: value for key, value in getattr(parts, group).items() if key != name}
-            written(tmp_path / 'a.map', dataclasses.replace(parts, **{group: rest}))
+            changes: dict[str, Any] = {group: rest}
+            written(tmp_path / 'a.map', dataclasses.replace(parts, **changes))
             with pytest.raises(MapFileError, match=rf"a\.map: holds no '{name}'"):
                 read_map(tmp_path / 'a.map')
 
@@ -392,7 +547,7 @@ def damaged(good: bytes, rng: np.random.Generator) -> bytearray:
 def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
     path, rng = tmp_path / 'a', np.random.default_rng(2)
     write_map(path, example())
-    good, read = path.read_bytes(), 0
+    good, read = unsealed_zip(path.read_bytes()), 0
     for trial in range(300):
         path.write_bytes(damaged(good, rng) if trial % 4 else good[: rng.integers(len(good))])
         read += read_or_refused(path)

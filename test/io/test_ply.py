@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import resource
 import struct
@@ -18,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from sealing import unsealed_ply  # type: ignore[import-not-found]
 
 from dcgs_ros.core.mapping.splats import PLANES, Splats
 from dcgs_ros.io.ply import PlyError, read_ply, write_ply
@@ -92,7 +94,30 @@ def test_one_gaussian_is_these_bytes(tmp_path: Path) -> None:
     write_ply(tmp_path / 'a.ply', Splats(np.array([list(values.values())], np.float32).T))
     expected = header('element vertex 1', *(f'property float {name}' for name in names))
     expected += struct.pack('<17f', *(values.get(name, 0.0) for name in names))
-    assert (tmp_path / 'a.ply').read_bytes() == expected
+    written = (tmp_path / 'a.ply').read_bytes()
+    assert unsealed_ply(written) == expected
+    digest = hashlib.blake2b(written.replace(written[44:116], b''), digest_size=32).hexdigest()
+    assert written[36:117].decode() == f'comment blake2b {digest}\n'
+
+
+def test_a_flipped_bit_anywhere_is_found_or_changes_nothing(tmp_path: Path) -> None:
+    splats, path = random_splats(40, seed=9), tmp_path / 'a.ply'
+    write_ply(path, splats)
+    good, rng, read = path.read_bytes(), np.random.default_rng(10), 0
+    for position in [*range(500), *rng.integers(500, len(good), 300)]:
+        data = bytearray(good)
+        data[position] ^= 1 << rng.integers(8)
+        path.write_bytes(data)
+        with contextlib.suppress(PlyError):
+            assert_same(read_ply(path), splats)
+            read += 1
+    assert read < 30  # of the comment's first bytes
+
+
+def test_a_ply_without_a_digest_is_read(tmp_path: Path) -> None:
+    write_ply(tmp_path / 'a.ply', random_splats(3, seed=11))
+    (tmp_path / 'a.ply').write_bytes(unsealed_ply((tmp_path / 'a.ply').read_bytes()))
+    assert_same(read_ply(tmp_path / 'a.ply'), random_splats(3, seed=11))
 
 
 @settings(max_examples=60, deadline=None)
@@ -331,7 +356,7 @@ def damaged(good: bytes, seed: int) -> bytes:
 def test_damaged_files_are_read_or_refused_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / 'a.ply'
     write_ply(path, random_splats(20, seed=8))
-    good = path.read_bytes()
+    good = unsealed_ply(path.read_bytes())
     refused = 0
     for seed in range(400):
         path.write_bytes(damaged(good, seed))

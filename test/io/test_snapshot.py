@@ -4,24 +4,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
+from dcgs_ros.core.keyframe import Correction
 from dcgs_ros.core.mapping.mapper import Mapper
-from dcgs_ros.core.mapping.rectification import Images
+from dcgs_ros.core.mapping.rectification import DEPTH_UNIT_M, Images
 from dcgs_ros.core.mapping.splats import Splats
 from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.tracking.tracker import Tracker
-from dcgs_ros.io.map_archive import read_map, write_map
-from dcgs_ros.io.snapshot import as_hosts_saw, saved_map
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of, places_of
+from dcgs_ros.io.map_archive import MapFileError, SavedMap, read_map, write_map
+from dcgs_ros.io.saved_tracker import SavedTracker
+from dcgs_ros.io.snapshot import as_hosts_saw, restore_mapper, saved_map
 
 CAMERA = PinholeCamera(64, 48, 60.0, 61.0, 31.5, 23.5)
 RELATIVE = 1e-4
@@ -144,6 +152,7 @@ def test_beside_a_tracker_what_it_has_counts() -> None:
         rng.permutation(n).astype(np.int64), means, -means, np.zeros(n, np.float32),
         np.tile(np.arange(n, dtype=np.float32)[:, None], (1, 3)), np.zeros(n, np.int32), n,
     )  # fmt: skip
+    tracker.resume(tracker.gaussians, [np.eye(4)], [0])
     tracker.gaussians.remove(np.array([5]))
     saved = saved_map(mapper, tracker)
     there = {id: k for k, id in enumerate(tracker.gaussians.ids.tolist()) if id >= 0}
@@ -161,3 +170,114 @@ def test_an_empty_map_can_be_saved() -> None:
     mapper = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
     saved = saved_map(mapper, None)
     assert len(saved.splats) == 0 and not saved.keyframes
+
+
+def same_bytes(tmp_path: Path, one: SavedMap, other: SavedMap) -> bool:
+    write_map(tmp_path / 'one', one)
+    write_map(tmp_path / 'other', other)
+    return (tmp_path / 'one').read_bytes() == (tmp_path / 'other').read_bytes()
+
+
+def test_saved_loaded_and_saved_again_is_the_same_file(tmp_path: Path) -> None:
+    mapper = mapper_with()
+    mapper.table.weights[:] = np.arange(len(mapper.table))
+    mapper.table.place_anchors(np.array([view.T_map_tracked for view in mapper.views]))
+    saved = saved_map(mapper, None, 'day 1')
+    workers = Workers(1)
+    again = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
+    restore_mapper(again, saved)
+    assert same_bytes(tmp_path, saved, saved_map(again, None, 'day 2', saved.sessions))
+    np.testing.assert_allclose(again.table.anchors, mapper.table.anchors, atol=1e-5)
+    assert again._next_own_id == mapper.table.ids.min() - 1
+
+
+def test_a_restored_mapper_shares_nothing_with_the_saved_map() -> None:
+    saved, workers = saved_map(mapper_with(), None), Workers(1)
+    planes = saved.splats.planes.copy()
+    again = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
+    restore_mapper(again, saved, first_id=1000)
+    again.table.splats.planes[0] += 1
+    again.views[0].exposure.gain[:] = 7
+    np.testing.assert_array_equal(saved.splats.planes, planes)
+    assert (saved.keyframes[0].exposure[0] == 1).all()
+    assert saved_map(again, None, first_id=1000).ids.tolist() == saved.ids.tolist()
+
+
+def test_another_camera_is_refused() -> None:
+    workers = Workers(1)
+    mapper = Mapper(replace(CAMERA, fx=59.0), Config(), CpuRenderer(workers), workers)
+    with pytest.raises(MapFileError, match=r'another camera: 64x48, fx 60 .*, not 64x48, fx 59 '):
+        restore_mapper(mapper, saved_map(mapper_with(), None))
+    assert not mapper.views and not len(mapper.table)
+
+
+def test_views_without_gaussians_of_the_tracker_are_no_keyframes() -> None:
+    mapper = mapper_with()
+    mapper.table.ids[mapper.table.hosts == 1] = -1000 - np.arange(20)
+    saved = saved_map(mapper, None)
+    assert [view.keyframe for view in saved.keyframes] == [0, -1, 1]
+    tracker = saved.tracker
+    assert tracker.stamps_ns.tolist() == [10**9, 10**9 + 2]
+    np.testing.assert_array_equal(tracker.poses[1], mapper.views[2].T_tracked)
+    rows = {id: k for k, id in enumerate(mapper.table.ids.tolist())}
+    for k, id in enumerate(tracker.ids.tolist()):
+        np.testing.assert_array_equal(tracker.means[k], mapper.table.measured[:, rows[id]])
+        assert tracker.hosts[k] == mapper.table.hosts[rows[id]] // 2
+        assert tracker.normals[k] @ (tracker.means[k] - tracker.viewpoints[k]) <= 0
+
+
+def test_a_tracker_saved_and_resumed_has_the_same_map() -> None:
+    """Ids that were removed are not given out again; odometry, sub-maps and observers stay."""
+    source = SyntheticSource.from_address('synthetic:room?frames=8&speed=2')
+    often = {'keyframes.translation_m': 0.01, 'keyframes.min_interval_s': 0.0}
+    tracker = Tracker(source.camera, override(Config(sensor=source.sensor), often))
+    for frame in source:
+        tracker.track(frame)
+    tracker.gaussians.remove(tracker.gaussians.ids[-3:].copy())
+    saved = SavedTracker.of(tracker)
+    again = Tracker(source.camera, tracker.config)
+    saved.resume(again, source.camera)
+    for name, array in SavedTracker.of(again).parts.items():
+        np.testing.assert_array_equal(array, saved.parts[name], err_msg=name)
+    assert again.gaussians.next_id == tracker.gaussians.next_id == saved.ids.max() + 4
+    assert again.keyframes == len(saved.poses) >= 3
+    assert (saved.observers != saved.hosts).any()
+    expected, found = tracker.visited.odometries[1], again.visited.odometries[1]
+    assert expected is not None and found is not None
+    np.testing.assert_array_equal(found.T_host_cam, expected.T_host_cam)
+    np.testing.assert_array_equal(found.hosts, expected.hosts)
+
+
+def test_a_restored_map_moves_with_its_keyframes() -> None:
+    """Also after a correction that names the keyframes of the sessions before."""
+    mapper, workers = mapper_with(), Workers(1)
+    saved = saved_map(mapper, None)
+    again = Mapper(CAMERA, Config(), CpuRenderer(workers), workers)
+    restore_mapper(again, saved)
+    motion = se3.exp(np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.2]))
+    stamps, poses = saved.tracker.stamps_ns, saved.tracker.poses
+    count = len(stamps)
+    moved = Correction(
+        1, stamps, motion @ poses, np.zeros((count, 6, 6)), np.zeros(count, np.int32)
+    )
+    assert again.correct(moved) == count
+    expected = se3.transform(motion, saved.splats.means.T)
+    np.testing.assert_allclose(again.table.splats.means.T, expected, atol=1e-4)
+
+
+def test_places_of_a_map_are_known_again() -> None:
+    assert VIEW_DEPTH_UNIT_M == DEPTH_UNIT_M
+    source = SyntheticSource.from_address('synthetic:room?frames=2')
+    config = Config(sensor=source.sensor)
+    frame = next(iter(source))
+    assert isinstance(frame, RgbdFrame)
+    color = cv2.imencode('.jpg', frame.color[..., ::-1])[1].tobytes()
+    depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
+    png = cv2.imencode('.png', depth)[1].tobytes()
+    useless = [(0, b'', b''), (1, b'no', b'image'), (2, color, png[:50]), (3, color, color)]
+    features = features_of([*useless, (7, color, png)], source.camera, source.sensor)
+    assert [keyframe for keyframe, _ in features] == [7]
+    places = places_of(features, source.camera, config)
+    assert places is not None and places_of([], source.camera, config) is None
+    found = places.recognise(frame)[0]
+    assert found.keyframe == 7 and np.linalg.norm(se3.log(found.T_keyframe_cam)) < 0.02

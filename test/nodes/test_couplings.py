@@ -304,7 +304,7 @@ def test_while_kernels_are_loaded_services_are_answered_at_once(make: Make) -> N
     eye, brain = make(TrackerNode), make(MapperNode)
     assert eye._on_reset().result(0) and brain._on_reset().result(0)
     with pytest.raises(DcgsError, match='loading the kernels'):
-        brain._on_save().result(0)
+        brain._when_ready(brain._save).result(0)
     epoch = eye._session.epoch
     assert eye._camera.queue.take(0.0) is None
     assert eye._session.epoch != epoch

@@ -20,6 +20,7 @@ from ..arguments import RunArguments, UsageError
 from ..folders import new_folder, refuse_used
 from ..stopping import StopSignals
 from .configuration import configure
+from .known_map import read_known
 from .pipeline import start
 from .session import Session
 
@@ -34,6 +35,7 @@ def execute(arguments: RunArguments) -> int:
     source = open_source(
         arguments.source, arguments.camera, arguments.groundtruth, arguments.options
     )
+    known = read_known(arguments, source.camera)
     config = configure(source.sensor, arguments)
     record = RunRecord(
         source.name,
@@ -47,7 +49,10 @@ def execute(arguments: RunArguments) -> int:
         new_folder(arguments.out, source.name) as folder,
         closing(Workers(mapper_threads(config, arguments.online))) as workers,
     ):
-        pipeline = start(source.camera, config, arguments.mapping, arguments.online, workers)
+        mapping = arguments.mapping and not arguments.localize
+        pipeline = start(
+            source.camera, config, mapping, arguments.online, workers, known, arguments.localize
+        )
         session = Session(source, pipeline, record, folder, arguments.asked_s)
         with StopSignals() as stop:
             session.process(total, lambda: stop.status != 0)
@@ -67,6 +72,8 @@ def _check(arguments: RunArguments) -> None:
     """Raise `UsageError` or `FolderError` before anything is read or written."""
     if arguments.max_frames is not None and arguments.max_frames < 1:
         raise UsageError(f'--max-frames {arguments.max_frames}: at least one frame is needed')
+    if arguments.localize and arguments.map is None:
+        raise UsageError('--localize: in which map? Name it with --map')
     if arguments.render_every < 0:
         raise UsageError(f'--render-every {arguments.render_every}: 1 or more, or 0 for none')
     if arguments.out is not None:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from ...core.backend.places import Places
+from ...core.backend.warmup import warm_up as warm_up_back_end
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.errors import FrameError
@@ -26,6 +28,10 @@ from ...core.tracking.tracker import Tracker
 from ...core.tracking.warmup import warm_up
 from ...datasets.source import BadFrame
 from ...evaluation.report import FinalMap, RunRecord, SkippedFrame, TrackedFrame
+from ...io.known_places import features_of, places_of
+from ...io.map_archive import SavedMap
+from ...io.sessions import SavedSession
+from ...io.snapshot import restore_mapper
 from .pacing import Arrival, DroppedFrame
 from .progress import Progress
 
@@ -34,20 +40,44 @@ _SLOW_S = 2.0  # a start that takes longer is explained
 
 
 def start(
-    camera: PinholeCamera, config: Config, mapping: bool, online: bool, workers: Workers
+    camera: PinholeCamera,
+    config: Config,
+    mapping: bool,
+    online: bool,
+    workers: Workers,
+    known: SavedMap | None = None,
+    localize: bool = False,
 ) -> Pipeline:
-    """Create tracker and mapper, with all their kernels compiled."""
+    """Create tracker and mapper, with all their kernels compiled, in the `known` map if any.
+
+    With `localize` the tracker leaves that map as it is. Raises `MapFileError` for a map without
+    keyframes, or of another camera than the mapper's.
+    """
     with _explained_if_slow('dcgs: compiling kernels (once)'):
         (warm_up_with_mapper if mapping else warm_up)(camera, config)
     tracker = Tracker(camera, config)
+    if known is not None:
+        known.tracker.resume(tracker, known.camera)
+        tracker.localize_only = localize
     mapper = Mapper(camera, config, workers=workers) if mapping else None
     mode: MappingMode = NoMapping()
     if mapper is not None:
+        if known is not None:
+            restore_mapper(mapper, known)
         mode = (Online if online else Lockstep)(tracker, mapper)
     closing: ClosingMode = NoClosing()
-    if config.backend.loops:
+    if known is not None:
+        tracker.recogniser = _known_places(known, camera, config)
+    elif config.backend.loops:
+        warm_up_back_end(camera, config)
         closing = (ClosingOnline if online else ClosingInLockstep)(tracker, mode)
-    return Pipeline(tracker, mode, closing, mapper, online)
+    sessions = known.sessions if known is not None else ()
+    return Pipeline(tracker, mode, closing, mapper, online, sessions)
+
+
+def _known_places(known: SavedMap, camera: PinholeCamera, config: Config) -> Places | None:
+    images = [(v.keyframe, v.color_jpeg, v.depth_png) for v in known.keyframes if v.keyframe >= 0]
+    return places_of(features_of(images, known.camera, known.config.sensor), camera, config)
 
 
 @dataclass(frozen=True)
@@ -59,6 +89,7 @@ class Pipeline:
     closing: ClosingMode
     mapper: Mapper | None  # None: the run only tracks
     online: bool  # frames arrive at their recorded pace
+    sessions: tuple[SavedSession, ...] = ()  # before this one, of the map that it extends
 
     def process(
         self,

@@ -106,7 +106,8 @@ class Session:
         if mapper is None:
             return
         with deferred:
-            saved = saved_map(mapper, self._pipeline.tracker)
+            pipeline = self._pipeline
+            saved = saved_map(mapper, pipeline.tracker, record.source, pipeline.sessions)
             record.gaussians, record.iterations = len(saved.splats), mapper.steps
             self._saved = saved if len(saved.splats) else None
         if self._saved is None:

@@ -98,6 +98,15 @@ class TrackerNodeSettings(Stage):
     resume_wait_s: float = ranged(
         2.0, 0, 60, 'Time to wait at the start for a mapper with a map, seconds.'
     )
+    map: str = described(
+        '', 'Map file to begin in, and that ~/load_map loads: a map.dcgs; empty: none.'
+    )
+    mode: Literal['mapping', 'localization'] = described(
+        'mapping',
+        'mapping: extend the map; localization: track in the map of node.map and leave it as it '
+        'is, without a mapper.',
+    )
+    save_folder: str = described('runs', 'Folder in which each saved map gets its own folder.')
     save_on_exit: str = described(
         '', 'Folder in which the trajectory is saved at the end; empty: not saved.'
     )
@@ -134,6 +143,20 @@ class MapperNodeSettings(Stage):
     )
     save_folder: str = described('runs', 'Folder in which each saved map gets its own folder.')
     save_on_exit: bool = described(False, 'Save the map at the end.')
+    autosave_s: float = ranged(
+        0.0,
+        0,
+        1e6,
+        'Interval at which the map is saved as autosave.dcgs in save_folder, seconds, where it '
+        'has changed; 0: never.',
+    )
+    map: str = described(
+        '', 'Map file to begin in, and that ~/load_map loads: a map.dcgs; empty: none.'
+    )
+    mode: Literal['mapping', 'localization'] = described(
+        'mapping',
+        'mapping: extend the map; localization: show the map of node.map and leave it as it is.',
+    )
 
 
 @dataclass(frozen=True)

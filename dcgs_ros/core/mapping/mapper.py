@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..errors import DcgsError
 from ..kernels.workers import Workers, cores
-from ..keyframe import Correction, Keyframe, MapUpdate, PosedFrame
+from ..keyframe import Correction, Keyframe, KeyframePose, MapUpdate, PosedFrame
 from ..render import make_renderer
 from ..render.renderer import Renderer, Rendering, View
 from . import exposure
@@ -105,6 +106,8 @@ class Mapper:
             len(self.views), keyframe.frame.stamp_ns, keyframe.T_world_cam, images,
             self.views[-1] if self.views else None,
         )  # fmt: skip
+        if keyframe.odometry is not None:
+            view.keyframe = keyframe.odometry.keyframe
         view.reference_ns = None if reference is None else reference.stamp_ns
         self.views.append(view)
         coarse = View.of(self.camera, view.T_world_cam, COARSE)
@@ -115,6 +118,29 @@ class Mapper:
         self._spawn(keyframe, view, images, rendering)
         if shrink_memory(self.views, 1e6 * self.config.mapping.image_memory_mb):
             self._scheduler.restart()
+
+    def restore(
+        self,
+        splats: Splats,
+        ids: NDArray[np.int64],  # (N,)
+        hosts: NDArray[np.int32],  # (N,)
+        measured: NDArray[np.float32],  # (N, 3) when they were added, the tracker's world, metres
+        reach_m: NDArray[np.float32],  # (N,)
+        weights: NDArray[np.float32],  # (N,)
+        views: Sequence[KeyframeView],
+    ) -> None:
+        """Fill an empty mapper with a map that was saved; its optimisation begins anew."""
+        self.views = list(views)
+        for view in self.views:
+            if view.keyframe >= 0:
+                view.reference_ns = view.stamp_ns
+                self._keyframes.motion_since(KeyframePose(view.stamp_ns, view.T_tracked))
+        planes = Splats(splats.planes.copy())
+        self.table.append(planes, ids, hosts, np.ascontiguousarray(measured.T), reach_m)
+        self.table.weights[:] = weights
+        if self.views:
+            self.table.place_anchors(np.array([view.T_map_tracked for view in self.views]))
+        self._next_own_id = min(int(ids.min(initial=0)), 0) - 1
 
     def _check(self, keyframe: Keyframe) -> None:
         height, width = keyframe.frame.depth_m.shape

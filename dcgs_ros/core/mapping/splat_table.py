@@ -118,11 +118,11 @@ class SplatTable:
         self,
         splats: Splats,
         ids: NDArray[np.int64],  # (N,)
-        host: int,
+        host: int | NDArray[np.int32],  # of all, or (N,) of each
         measured: NDArray[np.float32],  # (3, N) means in the tracker's world, metres
         reach_m: NDArray[np.float32],  # (N,) largest distance of a mean from there
     ) -> None:
-        """Add Gaussians of the view `host`."""
+        """Add Gaussians of the view `host`; their anchors are their means."""
         new: dict[str, NDArray[Any]] = {
             'planes': splats.planes,
             'first_moments': np.zeros_like(splats.planes),
@@ -144,14 +144,18 @@ class SplatTable:
 
         `T_map_tracked` (K, 4, 4) is, for each view, from the tracker's world to the mapper's.
         """
-        T = T_map_tracked[self.hosts]
-        self.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], self.measured) + T[:, :3, 3].T
+        self.place_anchors(T_map_tracked)
         means = self.splats.means
         moved = means - self.anchors
         far = np.linalg.norm(moved, axis=0)
         out = np.flatnonzero(far > self.reach_m)
         share = self.reach_m[out] / far[out]
         means[:, out] = self.anchors[:, out] + share * moved[:, out]
+
+    def place_anchors(self, T_map_tracked: NDArray[np.float64]) -> None:
+        """Move the anchors with their views, as `anchor`, and leave the means."""
+        T = T_map_tracked[self.hosts]
+        self.anchors[:] = np.einsum('nij,jn->in', T[:, :3, :3], self.measured) + T[:, :3, 3].T
 
     def move(
         self,

@@ -35,6 +35,7 @@ class KeyframeView:
     T_world_cam: NDArray[np.float64]  # (4, 4) as refined by the mapper
     exposure: Exposure
     visits: int = 0  # optimisation steps so far
+    keyframe: int = -1  # the tracker's number of it; -1 for a view between keyframes
     reference_ns: int | None = None  # stamp of the keyframe that it moves with, if that is known
     _images: Images | None = None
     _encoded: tuple[bytes, bytes] | None = None
@@ -54,6 +55,20 @@ class KeyframeView:
         T = T_tracked @ last.correction if last else T_tracked
         exposure = last.exposure if last else Exposure.none()
         return cls(index, stamp_ns, T_tracked, T, exposure, _images=images)
+
+    @classmethod
+    def restored(
+        cls,
+        index: int,
+        stamp_ns: int,
+        poses: tuple[NDArray[np.float64], NDArray[np.float64]],  # T_tracked and T_world_cam
+        exposure: Exposure,
+        visits: int,
+        keyframe: int,
+        encoded: tuple[bytes, bytes],  # colour and depth, as `encoded` gives them
+    ) -> KeyframeView:
+        """Return a view as it was when it was saved."""
+        return cls(index, stamp_ns, *poses, exposure, visits, keyframe, _encoded=encoded)
 
     @property
     def correction(self) -> NDArray[np.float64]:

@@ -82,6 +82,16 @@ class GaussianMap:
         """(M,) keyframe that spawned each."""
         return self._hosts[: self._used]
 
+    @property
+    def observers(self) -> NDArray[np.int32]:
+        """(M,) keyframe of each viewpoint."""
+        return self._observers[: self._used]
+
+    @property
+    def next_id(self) -> int:
+        """The id of the next Gaussian: lower ones were given out."""
+        return self._next_id
+
     def add(
         self,
         means: NDArray[np.float32],  # (N, 3) metres, world
@@ -105,10 +115,16 @@ class GaussianMap:
         viewpoints: NDArray[np.float32],  # (N, 3) metres, world
         hosts: NDArray[np.int32],  # (N,)
         next_id: int,
+        observers: NDArray[np.int32] | None = None,  # (N,) keyframe of each viewpoint
     ) -> None:
-        """Fill an empty map with saved Gaussians; new ids start at `next_id`."""
+        """Fill an empty map with saved Gaussians; new ids start at `next_id`.
+
+        Without `observers` the viewpoints are of the hosts.
+        """
         self._next_id = next_id
         self._insert(ids, means, normals, flatness, viewpoints, hosts)
+        if observers is not None:
+            self.observers[:] = observers
 
     def _insert(
         self,

@@ -17,7 +17,7 @@ from ..config.stages import Config
 from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
-from ..keyframe import Correction, Keyframe, MapUpdate
+from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
 from .corners import spread
 from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
@@ -97,6 +97,7 @@ class Tracker:
         self._searched_s = 0.0  # by frames that found no place
         self.revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
+        self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
         self.threads = jit.set_threads(self._config.threads)
@@ -136,7 +137,8 @@ class Tracker:
         last = self._memory.last
         self._accept(found, evidence)
         claim = self._claim(found, uncertainty)
-        keyframe = not self._unconfirmed and not evidence.doubtful and self._is_keyframe(found)
+        sure = not self._unconfirmed and not evidence.doubtful
+        keyframe = sure and not self.localize_only and self._is_keyframe(found)
         if keyframe:
             self._held.append(self._extend_map(found.registered, last, claim))
         elif found.fresh and self._runs_out_of_landmarks():
@@ -157,13 +159,21 @@ class Tracker:
         gaussians: GaussianMap,
         poses: Sequence[NDArray[np.float64]],
         stamps_ns: Sequence[int],
+        submaps: Sequence[int] = (),
+        odometries: Sequence[Odometry | None] = (),
+        usual: Usual | None = None,
+        depth_bias: NDArray[np.float64] | None = None,
     ) -> None:
         """Go on in a map whose keyframes were at `poses` (4, 4), the last one the likeliest.
 
-        Frames are lost until one fits the map near one of them.
+        Frames are lost until one fits the map near one of them. See `Visited.reset`; `usual` and
+        `depth_bias` are those of the tracker that made the map.
         """
+        self._usual = usual or self._usual
+        if depth_bias is not None and depth_bias.any():
+            self._depth_bias.correct_by(depth_bias)
         self.gaussians, self._begun = gaussians, True
-        self._visited.reset(stamps_ns, poses)
+        self._visited.reset(stamps_ns, poses, submaps, odometries)
         self._depth_bias.reset(poses)
         self._memory = self._forgotten(ConstantVelocity.at_rest(poses[-1]))
         self.interrupt()
@@ -222,6 +232,16 @@ class Tracker:
     def T_world_cam(self) -> NDArray[np.float64]:
         """(4, 4) last good pose."""
         return self._memory.motion.T_world_cam
+
+    @property
+    def usual(self) -> Usual:
+        """How well frames fit the map that were tracked well."""
+        return self._usual
+
+    @property
+    def depth_bias(self) -> NDArray[np.float64]:
+        """(5,) theta of `DepthBias`, that depth is corrected by."""
+        return self._depth_bias.theta
 
     @property
     def visited(self) -> Visited:
@@ -367,7 +387,7 @@ class Tracker:
         if result.state is not TrackingState.LOST:
             return result
         self._searched_s += min((frame.stamp_ns - before_ns) * 1e-9, _SEARCH_STEP_S)
-        limit_s = self._config.keyframes.new_submap_s
+        limit_s = None if self.localize_only else self._config.keyframes.new_submap_s
         enough = result.points >= 2 * self._config.registration.min_pairs
         if limit_s is None or self._searched_s < limit_s or not enough:
             return result
@@ -514,7 +534,7 @@ class Tracker:
         )  # fmt: skip
         self._anchor_landmarks(registered, keyframe)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
-        self._visited.add(frame.stamp_ns, T, claim.submap, claim.in_world)
+        self._visited.add(frame.stamp_ns, T, odometry, claim.in_world)
         self._depth_bias.add_keyframe(T)
         means, normals = self.gaussians.of(ids)
         sightings = self.landmarks.sighted(

@@ -34,6 +34,7 @@ class Visited:
         self.stamps_ns: list[int] = []
         self.poses: list[NDArray[np.float64]] = []  # (4, 4) T_world_cam
         self.submaps: list[int] = []
+        self.odometries: list[Odometry | None] = []  # None: tracked by another tracker
         self._chain = KeyframeChain()
 
     def __len__(self) -> int:
@@ -41,24 +42,33 @@ class Visited:
         return len(self.poses)
 
     def reset(
-        self, stamps_ns: Sequence[int] = (), poses: Sequence[NDArray[np.float64]] = ()
+        self,
+        stamps_ns: Sequence[int] = (),
+        poses: Sequence[NDArray[np.float64]] = (),
+        submaps: Sequence[int] = (),
+        odometries: Sequence[Odometry | None] = (),
     ) -> None:
-        """Start anew with keyframes at certain poses (4, 4): the world is theirs."""
+        """Start anew with keyframes at certain poses (4, 4): the world is theirs.
+
+        By default all are in sub-map 0, and how they were tracked is not known.
+        """
         self.stamps_ns, self.poses = list(stamps_ns), list(poses)
-        self.submaps = [0] * len(self.poses)
+        self.submaps = list(submaps) or [0] * len(self.poses)
+        self.odometries = list(odometries) or [None] * len(self.poses)
         self._chain.reset(len(self.poses))
 
     def add(
         self,
         stamp_ns: int,
         T_world_cam: NDArray[np.float64],
-        submap: int,
+        odometry: Odometry,
         in_world: NDArray[np.floating],
     ) -> None:
         """Add a keyframe with the covariance (6, 6) of its pose in the world, camera frame."""
         self.stamps_ns.append(stamp_ns)
         self.poses.append(T_world_cam)
-        self.submaps.append(submap)
+        self.submaps.append(odometry.submap)
+        self.odometries.append(odometry)
         self._chain.add(T_world_cam, in_world)
 
     def in_world(

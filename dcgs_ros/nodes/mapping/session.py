@@ -19,16 +19,18 @@ from ...core.kernels.workers import Workers
 from ...core.keyframe import Correction, MapUpdate
 from ...core.mapping.mapper import Mapper, mapper_threads
 from ...core.render.renderer import Rendering
-from ...io.map_archive import write_map
+from ...io.map_archive import MapFileError, SavedMap, read_map, write_map
 from ...io.ply import write_ply
-from ...io.snapshot import saved_map
+from ...io.sessions import SavedSession
+from ...io.snapshot import restore_mapper, saved_map
 from ..health import Level, Verdict
-from ..messages.ids import same_tracker
+from ..messages.ids import EPOCH, epoch_of_file, same_tracker, split_ids
 from ..messages.packet import KeyframePacket
 
 _RATE_WINDOW_S = 5.0  # over which steps per second are counted
 _FOREIGN_S = 10.0  # that another tracker is spoken of after its last keyframe
 _NO_TRACKER = 'no tracker runs in this namespace'
+AUTOSAVE = 'autosave.dcgs'
 _CORRECTIONS = 4  # kept of maps that may still begin: the last one of each
 _BEHIND = 8  # waiting keyframes that are worth a warning
 
@@ -42,11 +44,16 @@ class MappingSession:
     """
 
     def __init__(
-        self, config: Config, warn: Callable[[str], None], trackers: Callable[[], int] = lambda: 1
+        self,
+        config: Config,
+        warn: Callable[[str], None],
+        trackers: Callable[[], int] = lambda: 1,
+        localize_only: bool = False,
     ) -> None:
         """Wait for the first keyframe; `warn` gets the lines for the log.
 
-        `trackers` returns how many trackers live.
+        `trackers` returns how many trackers live. With `localize_only` the map of `load` stays as
+        it is: keyframes are ignored.
         """
         self.config, self._warn = config, warn
         self._workers = Workers(mapper_threads(config, online=True))
@@ -57,6 +64,8 @@ class MappingSession:
         self.refused = 0
         self.refusal = ''  # why the last keyframe could not be used
         self.foreign = 0  # keyframes of other trackers
+        self._localize_only = localize_only
+        self._before: tuple[SavedSession, ...] = ()  # sessions of the map that was loaded
         self._corrections: dict[int, Correction] = {}  # the last one by epoch
         self._trackers, self._foreign_s = trackers, -_FOREIGN_S
         self._received_s: float | None = None  # monotonic time of the last keyframe
@@ -68,6 +77,8 @@ class MappingSession:
 
         Views of a map of which no keyframe has come are ignored.
         """
+        if self._localize_only:
+            return None
         begins = packet.epoch not in (0, self.epoch)
         mapper = self.mapper
         if begins and (not packet.carries_gaussians or self._holds_against(packet.epoch)):
@@ -79,6 +90,7 @@ class MappingSession:
         if mapper is None or (packet.stamp_ns in self.stamps and not begins):
             return None
         try:
+            _check_camera(mapper, packet)
             mapper.insert(packet.posed)
         except DcgsError as error:
             self.refuse(error)
@@ -126,9 +138,24 @@ class MappingSession:
         self.reset()
         self.mapper, self.epoch = mapper, epoch
 
+    def load(self, path: Path) -> str:
+        """Go on in the map of a file; return its size in words.
+
+        It is optimised no further until a keyframe comes. Raises a `DcgsError` for a file that is
+        damaged or no map; the map is then as it was before.
+        """
+        saved, epoch = read_map(path), epoch_of_file(path)
+        mapper = Mapper(saved.camera, self.config, workers=self._workers)
+        restore_mapper(mapper, saved, epoch * EPOCH)
+        self.reset()
+        self.mapper, self.epoch, self._before = mapper, epoch, saved.sessions
+        self.stamps.update(view.stamp_ns for view in mapper.views)
+        self._steps_since_keyframe = self.config.mapping.final_steps
+        return f'{len(saved.splats)} Gaussians, {len(saved.keyframes)} keyframes in {path}'
+
     def reset(self) -> None:
         """Drop the map; keyframes that the tracker keeps may come again."""
-        self.mapper, self.epoch = None, 0
+        self.mapper, self.epoch, self._before = None, 0, ()
         self.stamps.clear()
 
     def reconfigure(self, config: Config) -> None:
@@ -141,7 +168,7 @@ class MappingSession:
         """Take an optimisation step; return False where the map has had all its steps."""
         self._count()
         mapper = self.mapper
-        if mapper is None or not mapper.views:
+        if mapper is None or not mapper.views or self._localize_only:
             return False
         if self._steps_since_keyframe >= mapper.config.mapping.final_steps:
             return False
@@ -168,9 +195,7 @@ class MappingSession:
 
         Raises a `DcgsError` where there is no map or it cannot be written.
         """
-        if self.mapper is None or not len(self.mapper.table):
-            raise DcgsError('there is no map yet')
-        saved = saved_map(self.mapper, None)
+        saved = self._saved()
         path = folder / f'map-{datetime.now():%Y%m%d-%H%M%S-%f}'
         try:
             path.mkdir(parents=True)
@@ -179,6 +204,24 @@ class MappingSession:
         write_ply(path / 'map.ply', saved.splats)
         write_map(path / 'map.dcgs', saved)
         return f'{len(saved.splats)} Gaussians, {len(saved.keyframes)} keyframes in {path}'
+
+    def autosave(self, folder: Path) -> None:
+        """Write autosave.dcgs in `folder`, in place of the last one.
+
+        Raises a `DcgsError` where it cannot be written: the last one stays.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DcgsError(f'{folder}: {error.strerror}') from error
+        write_map(folder / AUTOSAVE, self._saved())
+
+    def _saved(self) -> SavedMap:
+        """Return the map to be saved; raises `DcgsError` where there is none."""
+        if self.mapper is None or not len(self.mapper.table):
+            raise DcgsError('there is no map yet')
+        first_id = int(split_ids(self.mapper.table.ids)[0].max()) * EPOCH
+        return saved_map(self.mapper, None, self.camera_frame, self._before, first_id)
 
     def judge(self, waiting: int) -> Verdict:
         """Return how mapping goes while so many keyframes wait."""
@@ -216,3 +259,13 @@ class MappingSession:
     def close(self) -> None:
         """End the threads."""
         self._workers.close()
+
+
+def _check_camera(mapper: Mapper, packet: KeyframePacket) -> None:
+    """Raise `MapFileError` where a keyframe is of another camera than the map's views."""
+    ours, camera = mapper.camera, packet.camera
+    if camera != ours:
+        raise MapFileError(
+            f'it is of a camera of {camera.width}x{camera.height}, fx {camera.fx:g}, the map of '
+            f'one of {ours.width}x{ours.height}, fx {ours.fx:g}: this map cannot be extended'
+        )

@@ -9,19 +9,39 @@ Gaussians that the mapper added. The maps of one tracker share all but the last 
 
 from __future__ import annotations
 
+import hashlib
 import secrets
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import DcgsError
+
 EPOCH = 1 << 32
 EPOCHS = 1 << 20
 _MAPS = 1 << 7  # epochs of one tracker
+_CHUNK = 1 << 18  # bytes of a file read at a time
 
 
 def first_epoch() -> int:
     """Draw the number of a tracker's first map, so that those of two trackers do not coincide."""
     return _MAPS + secrets.randbelow(EPOCHS - _MAPS)
+
+
+def epoch_of_file(path: Path) -> int:
+    """Return the number of the map in a file: tracker and mapper that read it agree on it.
+
+    Raises a `DcgsError` where it cannot be read.
+    """
+    digest = hashlib.blake2b(digest_size=8)
+    try:
+        with path.open('rb') as file:
+            while chunk := file.read(_CHUNK):
+                digest.update(chunk)
+    except OSError as error:
+        raise DcgsError(f'{path}: cannot be read: {error.strerror or error}') from error
+    return _MAPS + int.from_bytes(digest.digest(), 'little') % (EPOCHS - _MAPS)
 
 
 def next_epoch(epoch: int) -> int:

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ...core.backend import keyframe_graph
 from ...core.backend.back_end import BackEnd
+from ...core.backend.warmup import warm_up
 from ...core.config.stages import Config
 from ...core.keyframe import Correction
+from ...core.tracking.warmup import ANY_CAMERA
 from .back_end_worker import BackEndWorker, NoLoops
 
 
@@ -25,4 +26,4 @@ def make_loops(
 def warm_up_loops(config: Config) -> None:
     """Load the kernels of the back end: compiling them later would hold up tracking."""
     if config.backend.loops:
-        keyframe_graph.warm_up()
+        warm_up(ANY_CAMERA, config)

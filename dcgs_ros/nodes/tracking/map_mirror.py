@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...core.config.stages import Config
 from ...core.shape import normals_and_flatness
 from ...core.tracking.gaussian_map import GaussianMap
+from ...core.tracking.tracker import Tracker
 from ..messages.ids import EPOCH, EPOCHS, split_ids
 from ..messages.maps import updated
 
@@ -75,6 +76,10 @@ class Resumable:
     poses: list[NDArray[np.float64]]  # T_world_cam (4, 4) of the keyframes
     stamps_ns: tuple[int, ...]  # of the keyframes
 
+    def __str__(self) -> str:
+        """Return its size in words."""
+        return f'{len(self.rows)} Gaussians, {len(self.poses)} keyframes'
+
     @staticmethod
     def of(
         rows: NDArray[Any], poses: list[NDArray[np.float64]], stamps_ns: Iterable[int]
@@ -89,6 +94,10 @@ class Resumable:
         epoch = int(epochs[measured].max())
         chosen = rows[measured & (epochs == epoch)]
         return Resumable(epoch, chosen, poses, tuple(stamps_ns))
+
+    def resume(self, tracker: Tracker) -> None:
+        """Have a tracker that has tracked nothing yet go on in the map."""
+        tracker.resume(self.gaussians(tracker.config), self.poses, self.stamps_ns)
 
     def gaussians(self, config: Config) -> GaussianMap:
         """Build the tracker's map, with the keyframes' positions as viewpoints."""

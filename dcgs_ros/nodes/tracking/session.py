@@ -28,8 +28,9 @@ from ..messages.packet import KeyframePacket
 from .back_end_worker import Loops, NoLoops
 from .corrected import Corrected
 from .health import numbers
-from .map_mirror import Resumable
+from .known_map import Known, KnownMap
 
+_OTHER_CAMERA = 'the map was made with another camera: it can be tracked in, but not extended'
 _LOOKING = 'looking for the camera in the map'
 
 
@@ -45,8 +46,12 @@ class TrackingSession:
         T_world_first: NDArray[np.float64],
         warn: Callable[[str], None],
         loops: Loops | None = None,
+        localize_only: bool = False,
     ) -> None:
-        """Wait for the first camera; `warn` gets the lines for the log, `loops` the keyframes."""
+        """Wait for the first camera; `warn` gets the lines for the log, `loops` the keyframes.
+
+        With `localize_only` the map of `resume` stays as it is, and is never left.
+        """
         self._own_epoch = first_epoch()  # of the last map that is not another tracker's
         self.config, self.epoch = config, self._own_epoch
         self.counts: Counter[str] = Counter()  # of frames, by state, or 'refused'
@@ -57,21 +62,37 @@ class TrackingSession:
         self.tracker: Tracker | None = None
         self.T_world_first, self._warn = T_world_first, warn
         self._selector = KeyframeSelector(config.mapping.view_interval)
-        self._resumable: Resumable | None = None
+        self._resumable: Known | None = None
+        self._localize_only = localize_only
         self._stamp_ns: int | None = None  # of the last frame
         self._held = False  # whether the camera's place was known then
         self._keyframe_stamps: set[int] = set()
         self._names: dict[int, int] = {}  # stamps of this tracker's keyframes, by their index
         self._loops = loops or NoLoops()
 
-    def resume(self, resumable: Resumable) -> None:
+    def resume(self, resumable: Known) -> None:
         """Go on in the map of another tracker; to be called before the first frame."""
         self._resumable = resumable
         self._keyframe_stamps.update(resumable.stamps_ns)
 
+    @property
+    def known(self) -> Known | None:
+        """The map that it goes on in."""
+        return self._resumable
+
+    def load(self, known: Known) -> None:
+        """Go on in another map, from the next frame on."""
+        self.reset()
+        self.resume(known)
+
     def reset(self) -> None:
-        """Begin a new map, at the place and with the camera of the next frame."""
-        self.tracker, self._resumable = None, None
+        """Begin a new map, at the place and with the camera of the next frame.
+
+        Where it only localises, begin anew in the same one.
+        """
+        self.tracker = None
+        if not self._localize_only:
+            self._resumable = None
         self.epoch = self._own_epoch = next_epoch(self._own_epoch)
         self._stamp_ns, self._held, self.ever_tracked = None, False, False
 
@@ -142,19 +163,25 @@ class TrackingSession:
             before, now = last.camera, camera
             self._warn(
                 f'the camera changed from {before.width}x{before.height}, fx {before.fx:.1f}, to '
-                f'{now.width}x{now.height}, fx {now.fx:.1f}: a new map begins at the last pose'
+                f'{now.width}x{now.height}, fx {now.fx:.1f}: {self._goes_on}'
             )
             T_world_first = last.T_world_cam
             self.reset()
         return self._begin(camera, T_world_first)
+
+    @property
+    def _goes_on(self) -> str:
+        return _LOOKING if self._localize_only else 'a new map begins at the last pose'
 
     def _begin(self, camera: PinholeCamera, T_world_first: NDArray[np.float64]) -> Tracker:
         """Return a new tracker, in the map of another one if that is wanted."""
         self.tracker = Tracker(camera, self.config, T_world_first)
         if self._resumable is not None:
             self.epoch = self._resumable.epoch
-            found = self._resumable
-            self.tracker.resume(found.gaussians(self.config), found.poses, found.stamps_ns)
+            self._resumable.resume(self.tracker)
+            self.tracker.localize_only = self._localize_only
+            if isinstance(self._resumable, KnownMap) and self._resumable.camera != camera:
+                self._warn(_OTHER_CAMERA)
             self._loops.leave()
         else:
             self.tracker.recogniser = self._loops.begin(camera, self.config, self.epoch)
@@ -171,6 +198,8 @@ class TrackingSession:
         used are moved on by a nanosecond or more.
         """
         assert self.tracker is not None
+        if self._localize_only:
+            return []
         camera, frame = self.tracker.camera, self.tracker.corrected(frame)
         chosen = self._selector.select(frame, result)
         renamed = [self._with_new_stamp(posed) for posed in chosen]

@@ -145,7 +145,7 @@ def test_loops_join_submaps() -> None:
     visited = Visited()
     for one in keyframes:
         assert one.odometry is not None
-        visited.add(one.frame.stamp_ns, one.T_world_cam, one.odometry.submap, np.eye(6))
+        visited.add(one.frame.stamp_ns, one.T_world_cam, one.odometry, np.eye(6))
         back_end.add(one)
         correction = back_end.work()
         if correction is not None:

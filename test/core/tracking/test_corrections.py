@@ -151,7 +151,8 @@ def visited_of(submaps: list[int]) -> Visited:
     for k, submap in enumerate(submaps):
         T = se3.exp(np.array([0.1 * k, 0, 0, 0, 0, 0]))
         T[:3, 3] += origin(submap)
-        visited.add(k, T, submap, 1e-4 * np.eye(6))
+        odometry = visited.odometry(T, submap, np.eye(6), np.empty(0, np.int32))
+        visited.add(k, T, odometry, 1e-4 * np.eye(6))
     return visited
 
 

@@ -27,7 +27,7 @@ from dcgs_ros.io.map_archive import read_map
 from dcgs_ros.io.ply import read_ply
 from dcgs_ros.nodes.health import Level
 from dcgs_ros.nodes.mapping.session import MappingSession
-from dcgs_ros.nodes.messages.ids import first_epoch, next_epoch
+from dcgs_ros.nodes.messages.ids import epoch_of_file, first_epoch, joined_ids, next_epoch
 from dcgs_ros.nodes.messages.packet import KeyframePacket
 
 CAMERA = PinholeCamera(48, 36, 42.0, 42.0, 23.5, 17.5)
@@ -334,6 +334,109 @@ def test_a_map_is_saved_whole_and_read_again(session: MappingSession, tmp_path: 
     assert [k.stamp_ns for k in saved.keyframes] == [10**9, 10**9 + 1, 10**9 + 2]
     assert len(read_ply(folders[1] / 'map.ply')) == len(saved.ids)
     assert session.insert(packet_of(4)) is not None  # and it goes on
+
+
+def global_packet(index: int, epoch: int) -> KeyframePacket:
+    """Pack a keyframe with the ids that it has between the nodes."""
+    packet = packet_of(index, epoch)
+    return changed(packet, ids=joined_ids(epoch, keyframe_of(packet).ids))
+
+
+def saved_file(session: MappingSession, folder: Path) -> Path:
+    return Path(session.save(folder).rpartition(' in ')[2]) / 'map.dcgs'
+
+
+def test_a_saved_map_is_loaded_by_another_mapper_and_extended(
+    session: MappingSession, warnings: list[str], tmp_path: Path
+) -> None:
+    for k in range(3):
+        session.insert(global_packet(k, FIRST))
+    for _ in range(5):
+        session.advance()
+    path = saved_file(session, tmp_path)
+    before, data = read_map(path), path.read_bytes()
+    assert before.ids.max() < 3000 and before.tracker.ids.max() < 3000  # without the epoch
+    later = MappingSession(CONFIG, warnings.append)
+    text = later.load(path)
+    assert text == f'{len(before.ids)} Gaussians, 3 keyframes in {path}'
+    assert later.epoch == epoch_of_file(path) and not later.advance()  # nothing new to learn
+    assert tracked_ids(later) == set(joined_ids(later.epoch, before.tracker.ids).tolist())
+    assert later.insert(global_packet(1, later.epoch)) is None  # it is here
+    assert later.insert(global_packet(3, later.epoch)) is not None and later.advance()
+    after = read_map(saved_file(later, tmp_path))
+    assert after.sessions[0] == before.sessions[0]
+    assert [(s.keyframes, s.views) for s in after.sessions] == [(3, 3), (1, 1)]
+    assert set(before.tracker.ids.tolist()) < set(after.tracker.ids.tolist())
+    assert path.read_bytes() == data and not warnings
+    later.close()
+
+
+def test_saved_loaded_and_saved_again_is_the_same_file(
+    session: MappingSession, tmp_path: Path
+) -> None:
+    for k in range(3):
+        session.insert(global_packet(k, FIRST))
+    for _ in range(9):
+        session.advance()
+    path = saved_file(session, tmp_path)
+    session.load(path)
+    assert saved_file(session, tmp_path).read_bytes() == path.read_bytes()
+
+
+def test_where_it_only_localises_the_map_stays(
+    session: MappingSession, warnings: list[str], tmp_path: Path
+) -> None:
+    session.insert(global_packet(0, FIRST))
+    path = saved_file(session, tmp_path)
+    still = MappingSession(CONFIG, warnings.append, localize_only=True)
+    still.load(path)
+    for epoch in (still.epoch, OTHER):
+        assert still.insert(global_packet(1, epoch)) is None
+    assert not still.advance() and not warnings
+    assert saved_file(still, tmp_path).read_bytes() == path.read_bytes()
+    still.close()
+
+
+def test_keyframes_of_another_camera_do_not_extend_a_map(
+    session: MappingSession, warnings: list[str]
+) -> None:
+    session.insert(packet_of(0))
+    other = replace(CAMERA, fx=43.0)
+    assert session.insert(packet_of(1, camera=other)) is None
+    assert 'it is of a camera of 48x36, fx 43, the map of one of 48x36, fx 42' in warnings[0]
+    assert session.mapper is not None and len(session.mapper.views) == 1
+
+
+def test_a_damaged_file_leaves_the_map(session: MappingSession, tmp_path: Path) -> None:
+    session.insert(packet_of(0))
+    before = state(session)
+    (tmp_path / 'a.dcgs').write_bytes(b'no map')
+    for path in (tmp_path / 'a.dcgs', tmp_path / 'nowhere.dcgs', tmp_path):
+        with pytest.raises(DcgsError, match=str(path)):
+            session.load(path)
+    assert state(session) == before
+
+
+def test_autosaving_replaces_the_last_one_or_keeps_it(
+    session: MappingSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / 'deep' / 'autosave.dcgs'
+    with pytest.raises(DcgsError, match='no map'):
+        session.autosave(path.parent)
+    for k in range(2):
+        session.insert(packet_of(k))
+        session.autosave(path.parent)
+        assert len(read_map(path).keyframes) == k + 1
+    data = path.read_bytes()
+    monkeypatch.setattr(os, 'replace', fails)
+    session.insert(packet_of(2))
+    with pytest.raises(DcgsError, match='No space left'):
+        session.autosave(path.parent)
+    assert path.read_bytes() == data and list(path.parent.iterdir()) == [path]
+
+
+def fails(*_: object) -> None:
+    raise OSError(28, 'No space left on device')
 
 
 def test_without_a_map_there_is_nothing_to_save(session: MappingSession, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,14 +21,17 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
-from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, same_tracker
+from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, epoch_of_file, same_tracker
 from dcgs_ros.nodes.messages.packet import KeyframePacket
+from dcgs_ros.nodes.tracking.known_map import KnownMap, preferred, save
 from dcgs_ros.nodes.tracking.map_mirror import Resumable
 from dcgs_ros.nodes.tracking.session import TrackingSession
 
@@ -592,3 +596,79 @@ def test_the_back_end_gets_every_keyframe_of_each_map_in_order() -> None:
     feeder.session.reset()
     feeder.feed(frames[4:6])
     assert listening.heard == ['begin', 0, 1, 2, 'begin', 0]
+
+
+def saved_by(feeder: Feeder, folder: Path) -> Path:
+    text = save(feeder.session.tracker, folder, ())
+    return Path(text.rpartition(' in ')[2]) / 'map.dcgs'
+
+
+def test_a_saved_map_is_gone_on_in_with_the_ids_after_its_own(tmp_path: Path) -> None:
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:8])
+    path = saved_by(feeder, tmp_path)
+    known, again = KnownMap.read(path), Feeder(EAGER)
+    again.session.resume(known)
+    results = again.feed(frames[6:])
+    assert_true(results, frames[6:], T_BASE_CAM, found=5)  # in the world of the map
+    assert again.session.epoch == known.epoch == epoch_of_file(path)
+    fresh = [id for _, id in again.ids]
+    assert fresh and min(fresh) >= known.tracker.next_id > known.tracker.ids.max()
+    assert not set(again.stamps) & set(known.stamps_ns)
+
+
+def test_where_it_only_localises_nothing_is_sent_and_the_map_is_never_left(
+    tmp_path: Path,
+) -> None:
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:8])
+    known, again = KnownMap.read(saved_by(feeder, tmp_path)), Feeder(EAGER)
+    again.session = TrackingSession(EAGER, T_BASE_CAM, again.warnings.append, localize_only=True)
+    again.session.resume(known)
+    again.feed(frames[4:9])
+    again.session.reset()
+    again.feed(frames_of(FULL)[9:11], FULL)  # another camera
+    results = again.feed(frames[9:], by_ns=SECOND)
+    assert states(results)[-1] is not TrackingState.LOST and not again.packets
+    assert again.session.tracker is not None
+    assert any('the map was made with another camera' in line for line in again.warnings)
+    assert known.tracker.is_same_map(SavedTracker.of(again.session.tracker))
+
+
+def test_another_map_is_loaded_while_tracking(tmp_path: Path) -> None:
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:8])
+    known, again = KnownMap.read(saved_by(feeder, tmp_path)), Feeder(EAGER)
+    again.feed(frames[:3])
+    again.session.load(known)
+    results = again.feed(frames[3:])
+    assert states(results)[-1] in (TrackingState.OK, TrackingState.RELOCALISED)
+    assert again.session.epoch == known.epoch
+
+
+def test_of_a_living_mapper_and_a_file_the_newer_map_is_gone_on_in(tmp_path: Path) -> None:
+    feeder = Feeder(EAGER)
+    feeder.feed(frames_of(HALF)[:8])
+    known = KnownMap.read(saved_by(feeder, tmp_path))
+    rows = np.zeros(2, MAP_GAUSSIAN)
+
+    def living(epoch: int, newest: int) -> Resumable:
+        rows['id'] = epoch * EPOCH + newest
+        return Resumable(epoch, rows.copy(), [np.eye(4)], (1,))
+
+    same = living(known.epoch, known.tracker.next_id - 1)
+    extended = living(known.epoch, known.tracker.next_id)
+    other = living(known.epoch + 1, 0)
+    assert preferred(None, known) is preferred(same, known) is known
+    for found in (extended, other):
+        assert preferred(found, known) is found
+    assert preferred(other, None) is other and preferred(None, None) is None
+
+
+def test_a_map_that_is_none_is_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(DcgsError, match='there is no map yet'):
+        save(None, tmp_path, ())
+    (tmp_path / 'a').write_bytes(b'')
+    for path in (tmp_path / 'a', tmp_path / 'nowhere'):
+        with pytest.raises(DcgsError, match=str(path)):
+            KnownMap.read(path)

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The places of a map file: features of its keyframes' images, by which they are known again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ..core.backend.features import Features, extract
+from ..core.backend.places import Places
+from ..core.camera import PinholeCamera
+from ..core.config.stages import Config
+from ..core.frame import RgbdFrame
+from ..core.sensor import SensorNoise
+
+VIEW_DEPTH_UNIT_M = 5e-4  # of the 16 bits in which the mapper keeps depth
+
+# The tracker's number of a keyframe, its colour as JPEG and its depth as PNG, undistorted.
+EncodedImages = tuple[int, bytes, bytes]
+
+
+def features_of(
+    images: Iterable[EncodedImages], camera: PinholeCamera, sensor: SensorNoise
+) -> list[tuple[int, Features]]:
+    """Return the features of each keyframe that has images, made with a `camera`."""
+    undistorted = replace(camera, distortion=())
+    found = []
+    for keyframe, color_jpeg, depth_png in images:
+        frame = _decoded(color_jpeg, depth_png)
+        if frame is not None and frame.depth_m.shape == (camera.height, camera.width):
+            found.append((keyframe, extract(frame, undistorted, sensor)))
+    return found
+
+
+def places_of(
+    features: Sequence[tuple[int, Features]], camera: PinholeCamera, config: Config
+) -> Places | None:
+    """Return what recognises the places for another `camera`; None where there are none."""
+    if not features:
+        return None
+    places = Places(camera, config)
+    for keyframe, known in features:
+        places.add(keyframe, known)
+    return places
+
+
+def _decoded(color_jpeg: bytes, depth_png: bytes) -> RgbdFrame | None:
+    """Return the images as a frame without a stamp; None where they are no images."""
+    buffers = [np.frombuffer(data, np.uint8) for data in (color_jpeg, depth_png)]
+    if not all(map(len, buffers)):
+        return None
+    try:
+        color = cv2.imdecode(buffers[0], cv2.IMREAD_COLOR)
+        depth = cv2.imdecode(buffers[1], cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    if color is None or depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
+        return None
+    if color.shape[:2] != depth.shape:
+        return None
+    depth_m = depth * np.float32(VIEW_DEPTH_UNIT_M)
+    return RgbdFrame(0, 0, np.ascontiguousarray(color[..., ::-1]), depth_m)

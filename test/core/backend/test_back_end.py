@@ -139,8 +139,13 @@ def test_loops_join_submaps() -> None:
     corrections = []
     visited = Visited()
     for one in keyframes:
-        assert one.odometry is not None
-        visited.add(one.frame.stamp_ns, one.T_world_cam, one.odometry.submap, np.eye(6))
+        odometry = one.odometry
+        assert odometry is not None
+        T, submap = one.T_world_cam, odometry.submap
+        if len(odometry.hosts):  # tracked in the corrected map
+            T = visited.poses[odometry.hosts[0]] @ odometry.T_host_cam[0]
+            submap = visited.submaps[odometry.hosts[0]]
+        visited.add(one.frame.stamp_ns, T, submap, np.eye(6))
         back_end.add(one)
         correction = back_end.work()
         if correction is not None:

@@ -89,7 +89,7 @@ class BackEnd:
         given to the finder of loops separately. Raises `BackEndError` if there are keyframes.
         """
         self._graph.restore(stamps_ns, T_world_cam)
-        self._told, self._told_submaps = self._graph.poses, list(self._graph.submaps)
+        self._told, self._told_submaps = self._graph.poses.copy(), list(self._graph.submaps)
 
     @property
     def keyframes(self) -> int:
@@ -99,7 +99,7 @@ class BackEnd:
     @property
     def poses(self) -> NDArray[np.float64]:
         """(K, 4, 4) T_world_cam of the keyframes as they are now."""
-        return self._graph.poses
+        return self._graph.poses.copy()
 
     @property
     def loops(self) -> tuple[Loop, ...]:
@@ -119,7 +119,6 @@ class BackEnd:
         T = keyframe.T_world_cam  # begins a map
         if len(odometry.hosts):
             T = self._told[odometry.hosts[0]] @ odometry.T_host_cam[0]
-        self._moved = False  # since the last correction was considered
         self._told = np.concatenate([self._told, [T]])
         host = int(odometry.hosts[0]) if len(odometry.hosts) else -1
         self._told_submaps.append(self._told_submaps[host] if host >= 0 else odometry.submap)

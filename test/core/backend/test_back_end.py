@@ -81,6 +81,18 @@ def test_loops_correct_the_poses(seed: int) -> None:
     np.testing.assert_array_equal(final.stamps_ns, 10**9 * np.arange(1, LAP + 31))
 
 
+def test_keyframes_that_waited_are_corrected_at_once() -> None:
+    """The loops are of some in the middle, none of the last one."""
+    walk, loops = two_laps(1, drift=2.0)
+    back_end = BackEnd(Given(loops[:4]))
+    for one in walk.keyframes():
+        back_end.add(one)
+    assert back_end.keyframes == 0
+    correction = back_end.work()
+    assert correction is not None and len(correction.stamps_ns) == LAP + 30
+    assert back_end.work() is None
+
+
 def test_later_keyframes_start_from_the_back_ends_own_poses() -> None:
     """Not from the tracker's world, to which no correction was applied here."""
     walk, loops = two_laps(1, drift=2.0)

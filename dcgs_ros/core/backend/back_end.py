@@ -25,9 +25,11 @@ from .consistency import Consistency, Loop
 from .keyframe_graph import BackEndError, KeyframeGraph
 
 # A Gaussian of the map is known to some 5 mm: its depth is, at a few metres, and a turn by 5 mrad
-# moves it so far one metre away. Smaller corrections would not be seen in the map, and each costs
-# the tracker a swap of all of it.
+# moves it so far one metre away. Smaller corrections would not be seen in the map.
 _SEEN_M, _SEEN_RAD = 5e-3, 5e-3
+# Of what is claimed for a pose. Within that, the next loop is as likely to move it back, and each
+# correction costs the tracker a swap of its whole map.
+_NOTABLE_SIGMAS = 0.5
 
 
 class LoopFinder(Protocol):
@@ -60,6 +62,7 @@ class BackEnd:
         self._consistency = Consistency()
         self._queue: queue.SimpleQueue[Keyframe] = queue.SimpleQueue()
         self._revision = 0
+        self._moved = False  # since the last correction was considered
         self._told = np.empty((0, 4, 4))  # where the tracker has the keyframes
         self._told_submaps: list[int] = []
 
@@ -76,10 +79,13 @@ class BackEnd:
             keyframe = self._queue.get()
             self._insert(keyframe)
             self._close(len(self._graph) - 1)
-        if not self._is_worth_telling():
+        if not self._moved:
+            return None
+        self._moved = False
+        correction = self._graph.correction(self._revision + 1)
+        if not self._is_worth_telling(correction):
             return None
         self._revision += 1
-        correction = self._graph.correction(self._revision)
         self._told, self._told_submaps = correction.T_world_cam, list(self._graph.submaps)
         return correction
 
@@ -100,7 +106,7 @@ class BackEnd:
         given to the finder of loops separately. Raises `BackEndError` if there are keyframes.
         """
         self._graph.restore(stamps_ns, T_world_cam)
-        self._told, self._told_submaps = self._graph.poses, list(self._graph.submaps)
+        self._told, self._told_submaps = self._graph.poses.copy(), list(self._graph.submaps)
 
     @property
     def places(self) -> Recogniser:
@@ -115,7 +121,7 @@ class BackEnd:
     @property
     def poses(self) -> NDArray[np.float64]:
         """(K, 4, 4) T_world_cam of the keyframes as they are now."""
-        return self._graph.poses
+        return self._graph.poses.copy()
 
     @property
     def loops(self) -> tuple[Loop, ...]:
@@ -151,16 +157,27 @@ class BackEnd:
         believed = self._consistency.decide(self._graph.poses)
         if not believed:
             return
+        submaps = self._graph.submaps
         self._graph.believe(believed)
-        if any(_is_seen(self._graph.gap(loop)) for loop in believed):
+        joined = submaps != self._graph.submaps
+        if joined or any(_is_seen(self._graph.gap(loop)) for loop in believed):
             self._graph.optimise()
+            self._moved = True
 
-    def _is_worth_telling(self) -> bool:
-        """Return whether a keyframe has moved so far that it is seen, or sub-maps were joined."""
+    def _is_worth_telling(self, correction: Correction) -> bool:
+        """Return whether a keyframe moves notably, or sub-maps were joined."""
         if self._told_submaps != self._graph.submaps:
             return True
-        pairs = zip(self._told, self._graph.poses, strict=True)
-        return any(_is_seen(se3.log(se3.inverse(T) @ moved)) for T, moved in pairs)
+        T = correction.T_world_cam
+        xi = np.array([se3.log(m) for m in se3.inverse(self._told) @ T])
+        Ad = np.array([se3.adjoint(m) for m in se3.inverse(T)])
+        claimed = Ad @ correction.covariances @ Ad.transpose(0, 2, 1)
+        for part, seen in ((slice(0, 3), _SEEN_M), (slice(3, 6), _SEEN_RAD)):
+            sigmas = np.sqrt(np.linalg.eigvalsh(claimed[:, part, part])[:, -1])
+            limit = np.maximum(seen, _NOTABLE_SIGMAS * sigmas)
+            if (np.linalg.norm(xi[:, part], axis=1) > limit).any():
+                return True
+        return False
 
 
 def _is_seen(xi: NDArray[np.float64]) -> bool:

@@ -195,13 +195,12 @@ class Consistency:
         """Return whether nothing else is possible, or enough views tell the same."""
         members = [self._pending[serial] for serial in family]
         surest = min(members, key=lambda member: member.prior.sigma_m)
-        if surest.prior.tells and not surest.prior.contradicts:
-            return True
+        sure = surest.prior.tells and not surest.prior.contradicts
         against = set().union(*(member.against for member in members)) & self._pending.keys()
         others = [self._pending[serial].loop.b for serial in against]
         others += [loop.b for loop, gap in self._refuted if _is_alias(surest, loop, gap, poses)]
-        wanted = min(_VIEWS + surest.prior.sigma_m / _VIEW_FOR_EVERY_M, _MOST_VIEWS)
-        wanted = max(wanted, _MAJORITY * _views(others, poses))
+        vague = min(_VIEWS + surest.prior.sigma_m / _VIEW_FOR_EVERY_M, _MOST_VIEWS)
+        wanted = max(1 if sure else vague, _MAJORITY * _views(others, poses))
         ends = ([member.loop.a for member in members], [member.loop.b for member in members])
         return min(_views(end, poses) for end in ends) >= wanted
 

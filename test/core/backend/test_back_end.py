@@ -86,6 +86,18 @@ def test_loops_correct_the_poses(seed: int) -> None:
     np.testing.assert_array_equal(final.stamps_ns, 10**9 * np.arange(1, LAP + 31))
 
 
+def test_keyframes_that_waited_are_corrected_at_once() -> None:
+    """The loops are of some in the middle, none of the last one."""
+    walk, loops = two_laps(1, drift=2.0)
+    back_end = BackEnd(CAMERA, Config(), Given(loops[:4]))
+    for one in walk.keyframes():
+        back_end.add(one)
+    assert back_end.keyframes == 0
+    correction = back_end.work()
+    assert correction is not None and len(correction.stamps_ns) == LAP + 30
+    assert back_end.work() is None
+
+
 def test_later_keyframes_start_from_the_back_ends_own_poses() -> None:
     """Not from the tracker's world, to which no correction was applied here."""
     walk, loops = two_laps(1, drift=2.0)
@@ -144,8 +156,13 @@ def test_loops_join_submaps() -> None:
     corrections = []
     visited = Visited()
     for one in keyframes:
-        assert one.odometry is not None
-        visited.add(one.frame.stamp_ns, one.T_world_cam, one.odometry, np.eye(6))
+        odometry = one.odometry
+        assert odometry is not None
+        T, submap = one.T_world_cam, odometry.submap
+        if len(odometry.hosts):  # tracked in the corrected map
+            T = visited.poses[odometry.hosts[0]] @ odometry.T_host_cam[0]
+            submap = visited.submaps[odometry.hosts[0]]
+        visited.add(one.frame.stamp_ns, T, replace(odometry, submap=submap), np.eye(6))
         back_end.add(one)
         correction = back_end.work()
         if correction is not None:

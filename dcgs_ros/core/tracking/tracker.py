@@ -31,6 +31,7 @@ from .propagation import BiasVariance, MotionLimit
 from .registration import DepthTerm, Registration
 from .relocalization import Recogniser, Relocalizer
 from .result import Reference, TrackingState, TrackResult
+from .standstill import Standstill
 from .uncertainty import PoseUncertainty, pose_uncertainty
 from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigmas, weigh
 from .visited import UNKNOWN, Visited, origin
@@ -89,6 +90,7 @@ class Tracker:
         self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
         self._limit: MotionLimit | None = None  # of the last frame that was tracked
+        self._standstill: Standstill | None = None  # while images repeat, and may
         self._bias = BiasVariance()
         self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
@@ -110,13 +112,13 @@ class Tracker:
         """
         self._check(frame)
         self._stamp_ns = frame.stamp_ns
-        received, frame = frame, self.corrected(frame)
+        repeated = self._received is not None and is_repetition(frame, self._received)
+        self._received, frame = frame, self.corrected(frame)
         if not self._begun:
             return self._begin(frame)
-        repeated = self._received is not None and is_repetition(received, self._received)
-        self._received = received
         if repeated:
-            return self._lost(frame)
+            return self._repeated(frame)
+        self._standstill = None
         if self._relocalizer is None and self._memory.motion.is_gap(frame.stamp_ns):
             self._lose()
         if self._relocalizer is not None:
@@ -144,6 +146,29 @@ class Tracker:
         elif found.fresh and self._runs_out_of_landmarks():
             self._anchor_landmarks(found.registered)
         return self._result(found, uncertainty, claim, keyframe)
+
+    def _repeated(self, frame: RgbdFrame) -> TrackResult:
+        """Keep the pose of a camera that may stand still; other repeated images are a fault."""
+        if self._limit is None or self.searching:
+            return self._lost(frame)
+        motion, stamp_ns = self._memory.motion, frame.stamp_ns
+        self._standstill = self._standstill or Standstill.begun(
+            motion, self._limit, self._usual, stamp_ns
+        )
+        if self._standstill is None:
+            return self._lost(frame)
+        self._first = None  # at rest its depth is of colour's instant too
+        self._limit = self._standstill.limit(self._limit, stamp_ns)
+        T, covariance = self.T_world_cam, self._limit.covariance
+        self._memory = replace(self._memory, motion=motion.advanced(T, stamp_ns))
+        state = TrackingState.DEGENERATE if self._exceeds(covariance) else TrackingState.OK
+        in_world = self._visited.in_world(T, covariance, np.array([self._host], np.int32))
+        return TrackResult(
+            stamp_ns, T, np.eye(4), covariance, in_world,
+            TrackingState.RELOCALISED if self._unconfirmed else state, None, 0, 0,
+            len(self.landmarks), False, self.flush(), 1e3 * self._offset.seconds,
+            self._reference(T),
+        )  # fmt: skip
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
         """Return the frame with its depth as the tracker believes it (`DepthBias`)."""
@@ -643,12 +668,14 @@ class Tracker:
     def _is_degenerate(self, spectrum: Observability, covariance: NDArray[np.float64]) -> bool:
         """Return whether a direction is not held, by this frame or by what is claimed of it."""
         limits = self._config.registration
+        unheld = spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
+        return unheld or self._exceeds(covariance)
+
+    def _exceeds(self, covariance: NDArray[np.float64]) -> bool:
+        """Return whether the largest claimed sigma (6, 6) is that of a degenerate pose."""
+        limits = self._config.registration
         claimed_m, claimed_rad = (
             math.sqrt(np.linalg.eigvalsh(block)[-1])
             for block in (covariance[:3, :3], covariance[3:, 3:])
         )
-        return (
-            spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
-            or claimed_m > limits.degenerate_m
-            or claimed_rad > limits.degenerate_rad
-        )
+        return claimed_m > limits.degenerate_m or claimed_rad > limits.degenerate_rad

@@ -49,6 +49,11 @@ class Usual:
         """`chi2`, or what noise would make of it if that is more: rendered depth has none."""
         return max(self.chi2, _CHI2_OF_NOISE)
 
+    @property
+    def is_noise_free(self) -> bool:
+        """Whether depth fits better than that of any real sensor: it is rendered."""
+        return self.chi2 < _CHI2_OF_NOISE
+
     def with_frame(self, found: Registration) -> Usual:
         """Return the average with one more frame."""
         frames = self.frames + 1

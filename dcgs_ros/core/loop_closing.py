@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .backend.back_end import BackEnd
+from .camera import PinholeCamera
 from .kernels.workers import give_way
-from .keyframe import Correction
+from .keyframe import Correction, Keyframe
 from .slam import MappingMode
 from .tracking.result import TrackResult
 from .tracking.tracker import Tracker
@@ -70,6 +72,16 @@ class _Mode:
         self._back_end = BackEnd(tracker.camera, tracker.config)
         self._tracker, self._mapping = tracker, mapping
         tracker.recogniser = self._back_end.places
+
+    def restore(
+        self,
+        stamps_ns: Sequence[int],
+        T_world_cam: NDArray[np.float64],  # (K, 4, 4)
+        keyframes: Iterable[Keyframe],
+        camera: PinholeCamera,
+    ) -> None:
+        """Begin with the keyframes of a map that the tracker goes on in, as `BackEnd.restore`."""
+        self._back_end.restore(stamps_ns, T_world_cam, keyframes, camera)
 
     @property
     def loops(self) -> list[tuple[int, int]]:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import cv2
@@ -15,7 +15,9 @@ from ..core.backend.places import Places
 from ..core.camera import PinholeCamera
 from ..core.config.stages import Config
 from ..core.frame import RgbdFrame
+from ..core.keyframe import Keyframe, Odometry
 from ..core.sensor import SensorNoise
+from .saved_tracker import SavedTracker
 
 VIEW_DEPTH_UNIT_M = 5e-4  # of the 16 bits in which the mapper keeps depth
 
@@ -34,6 +36,21 @@ def features_of(
         if frame is not None and frame.depth_m.shape == (camera.height, camera.width):
             found.append((keyframe, extract(frame, undistorted, sensor)))
     return found
+
+
+def keyframes_of(images: Iterable[EncodedImages], tracker: SavedTracker) -> Iterator[Keyframe]:
+    """Yield the keyframes that have images, as a back end takes them: without Gaussians."""
+    none = np.empty((0, 3), np.float32)
+    for k, color_jpeg, depth_png in images:
+        frame, odometry = _decoded(color_jpeg, depth_png), tracker.odometry(k)
+        if frame is None:
+            continue
+        if odometry is None:
+            apart = np.empty((0, 4, 4))
+            no_hosts = np.empty(0, np.int32)
+            odometry = Odometry(k, 0, no_hosts, apart, np.empty(0), np.zeros((6, 6)))
+        T = tracker.poses[k]
+        yield Keyframe(frame, T, np.eye(4), np.empty(0, np.int64), none, none, odometry)
 
 
 def places_of(

@@ -9,9 +9,8 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from ...core.backend.places import Places
 from ...core.backend.warmup import warm_up as warm_up_back_end
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
@@ -28,7 +27,7 @@ from ...core.tracking.tracker import Tracker
 from ...core.tracking.warmup import warm_up
 from ...datasets.source import BadFrame
 from ...evaluation.report import FinalMap, RunRecord, SkippedFrame, TrackedFrame
-from ...io.known_places import features_of, places_of
+from ...io.known_places import features_of, keyframes_of, places_of
 from ...io.map_archive import SavedMap
 from ...io.sessions import SavedSession
 from ...io.snapshot import restore_mapper
@@ -65,19 +64,35 @@ def start(
         if known is not None:
             restore_mapper(mapper, known)
         mode = (Online if online else Lockstep)(tracker, mapper)
-    closing: ClosingMode = NoClosing()
-    if known is not None:
-        tracker.recogniser = _known_places(known, camera, config)
-    elif config.backend.loops:
-        warm_up_back_end(camera, config)
-        closing = (ClosingOnline if online else ClosingInLockstep)(tracker, mode)
     sessions = known.sessions if known is not None else ()
+    closing = _closing(tracker, mode, online, known)
     return Pipeline(tracker, mode, closing, mapper, online, sessions)
 
 
-def _known_places(known: SavedMap, camera: PinholeCamera, config: Config) -> Places | None:
-    images = [(v.keyframe, v.color_jpeg, v.depth_png) for v in known.keyframes if v.keyframe >= 0]
-    return places_of(features_of(images, known.camera, known.config.sensor), camera, config)
+def _closing(
+    tracker: Tracker, mapping: MappingMode, online: bool, known: SavedMap | None
+) -> ClosingMode:
+    """Create the back end, with what is known of the `known` map's places; or only those."""
+    camera, config = tracker.camera, tracker.config
+    images = [
+        (view.keyframe, view.color_jpeg, view.depth_png)
+        for view in (() if known is None else known.keyframes)
+        if view.keyframe >= 0
+    ]
+    if tracker.localize_only or not config.backend.loops:
+        if known is not None:
+            features = features_of(images, known.camera, known.config.sensor)
+            tracker.recogniser = places_of(features, camera, config)
+        return NoClosing()
+    with _explained_if_slow('dcgs: compiling kernels (once)'):
+        warm_up_back_end(camera, config)
+    closing = (ClosingOnline if online else ClosingInLockstep)(tracker, mapping)
+    if known is not None:
+        stamps_ns, poses = known.tracker.stamps_ns.tolist(), known.tracker.poses
+        undistorted = replace(known.camera, distortion=())
+        keyframes = keyframes_of(images, known.tracker)
+        closing.restore(stamps_ns, poses, keyframes, undistorted)
+    return closing
 
 
 @dataclass(frozen=True)

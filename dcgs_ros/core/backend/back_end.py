@@ -9,7 +9,7 @@ There is no thread in it. Who drives it calls `add` with each keyframe, which co
 from __future__ import annotations
 
 import queue
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -40,8 +40,8 @@ class LoopFinder(Protocol):
         """Recognises the places of the keyframes; may be called from any thread."""
         ...
 
-    def add(self, keyframe: Keyframe) -> None:
-        """Keep what is needed of the next keyframe."""
+    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
+        """Keep what is needed of a keyframe; `camera` made its images, if it is another."""
         ...
 
     def close(self, keyframe: int) -> Sequence[Loop]:
@@ -99,13 +99,22 @@ class BackEnd:
         self._graph.adjust(self._camera, self._config)
         return self._graph.correction(self._revision + 1)
 
-    def restore(self, stamps_ns: Sequence[int], T_world_cam: NDArray[np.float64]) -> None:
+    def restore(
+        self,
+        stamps_ns: Sequence[int],
+        T_world_cam: NDArray[np.float64],
+        keyframes: Iterable[Keyframe] = (),
+        camera: PinholeCamera | None = None,
+    ) -> None:
         """Begin with the keyframes (K, 4, 4) of a map, which stay where they are.
 
-        The tracker's next keyframe is to have the index K. What recognises these keyframes is
-        given to the finder of loops separately. Raises `BackEndError` if there are keyframes.
+        The tracker's next keyframe is to have the index K. Loops are found with those that are
+        among `keyframes`, whose images were made by `camera`, by default the tracker's. Raises
+        `BackEndError` if there are keyframes already.
         """
         self._graph.restore(stamps_ns, T_world_cam)
+        for keyframe in keyframes:
+            self._finder.add(keyframe, camera)
         self._told, self._told_submaps = self._graph.poses.copy(), list(self._graph.submaps)
 
     @property

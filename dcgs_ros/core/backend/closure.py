@@ -9,6 +9,7 @@ the other way round. Both must tell the same, and leave no direction open.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,23 +60,22 @@ class Closures:
         self._camera = camera
         self._config = config.scaled_to(camera.width, camera.height)
         self.places = Places(camera, config)
-        self._clouds: list[FrameCloud] = []
-        self._hosts: list[dict[int, NDArray[np.float64]]] = []  # T_host_cam of each keyframe
-        self._links: list[set[int]] = []  # both ways
+        self._clouds: dict[int, FrameCloud] = {}
+        self._hosts: dict[int, dict[int, NDArray[np.float64]]] = {}  # T_host_cam of a keyframe
+        self._links: defaultdict[int, set[int]] = defaultdict(set)  # both ways
 
-    def add(self, keyframe: Keyframe) -> None:
-        """Keep the next keyframe's features, depth and odometry."""
+    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
+        """Keep a keyframe's features, depth and odometry; `camera` made its images, if another."""
         odometry, frame, config = keyframe.odometry, keyframe.frame, self._config
         assert odometry is not None
-        moved = keyframe.T_cam_cam_at_depth
-        k = odometry.keyframe
-        self.places.add(k, extract(frame, self._camera, config.sensor, moved))
-        cloud = sample(frame, self._camera, config, config.cloud.stride_px, np.zeros(6))
-        self._clouds.append(cloud.moved(moved))
-        hosts = zip(odometry.hosts.tolist(), odometry.T_host_cam, strict=True)
-        self._hosts.append(dict(hosts))
-        self._links.append(set(odometry.hosts.tolist()))
-        for host in odometry.hosts.tolist():
+        camera, moved = camera or self._camera, keyframe.T_cam_cam_at_depth
+        k, hosts = odometry.keyframe, odometry.hosts.tolist()
+        self.places.add(k, extract(frame, camera, config.sensor, moved))
+        cloud = sample(frame, camera, config, config.cloud.stride_px, np.zeros(6))
+        self._clouds[k] = cloud.moved(moved)
+        self._hosts[k] = dict(zip(hosts, odometry.T_host_cam, strict=True))
+        self._links[k].update(hosts)
+        for host in hosts:
             self._links[host].add(k)
 
     def close(self, keyframe: int) -> list[Loop]:
@@ -146,7 +146,8 @@ class Closures:
     def _surroundings(self, keyframe: int) -> list[tuple[int, NDArray[np.float64]]]:
         """Return a keyframe and those linked with it, newest first, and T_keyframe_other."""
         found = [(keyframe, np.eye(4))]
-        for other in sorted(self._links[keyframe], reverse=True)[:_NEIGHBOURS]:
+        others = sorted(self._links[keyframe].intersection(self._clouds), reverse=True)
+        for other in others[:_NEIGHBOURS]:
             T = self._hosts[keyframe].get(other)
             T_keyframe_other = self._hosts[other][keyframe] if T is None else se3.inverse(T)
             found.append((other, T_keyframe_other))

@@ -35,7 +35,7 @@ class Given:
         self.keyframes = 0
         self.places = Places(CAMERA, Config())
 
-    def add(self, keyframe: Keyframe) -> None:
+    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
         self.keyframes += 1
 
     def close(self, keyframe: int) -> list[Loop]:

@@ -251,6 +251,18 @@ def test_five_times_the_claimed_three_sigma_are_silent_however_small() -> None:
     assert silent_of(0.0149, 1e-3).count == 0
 
 
+def test_a_motion_between_two_worlds_is_not_judged() -> None:
+    worlds = (np.arange(40) >= 20).astype(int)
+    estimate, sigmas_m = shifted(standing(40), 20, 5.0), np.ones(40)
+    assert silent_frames(estimate, [OK] * 40, sigmas_m, standing(40)).count == 10
+    found = silent_frames(estimate, [OK] * 40, sigmas_m, standing(40), worlds)
+    assert found.count == 0 and at(found.judged) == [*range(10, 20), *range(30, 40)]
+    covariances = np.tile(np.eye(6), (40, 1, 1))
+    nees = motion_nees(estimate, [OK] * 40, covariances, standing(40), worlds)
+    assert nees.frames.tolist() == [*range(10, 20), *range(30, 40)]
+    assert nees.values.max() == 0.0
+
+
 def test_the_sigma_that_counts_is_the_one_of_the_frame() -> None:
     sigmas_m = np.full(40, 1.0)
     sigmas_m[25] = 1e-3

@@ -90,3 +90,16 @@ def test_the_path_has_a_gap_where_the_camera_was_lost() -> None:
     assert not plots._lost_between(a_walk([OK] * 30), claims.poses.stamps_ns).any()
     some = plots._lost_between(claims, estimate.stamps_ns[::3])
     assert np.flatnonzero(some).tolist() == [3]
+
+
+def test_loops_and_the_path_as_optimised_are_drawn(tmp_path: Path, drawn: list[Figure]) -> None:
+    claims = a_walk([OK] * 30)
+    moved = se3.exp(np.array([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]))
+    optimized = Trajectory(claims.poses.stamps_ns, moved @ claims.poses.T_world_cam)
+    ends = optimized.T_world_cam[[[0, 20], [3, 25]], :3, 3]
+    plot_trajectory(tmp_path / 'a.png', claims, None, 'a walk', optimized, ends)
+    assert line(drawn[0], 0, 'optimised').shape == (2, 30)
+    labels = [str(c.get_label()) for c in drawn[0].axes[0].collections]
+    assert 'loops (2)' in labels
+    plot_trajectory(tmp_path / 'b.png', claims, None, 'a walk', optimized, ends[:0])
+    assert not any('optimised' in str(found.get_label()) for found in drawn[1].axes[0].lines)

@@ -10,14 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.tracking.observability import Observability
-from dcgs_ros.core.tracking.result import TrackingState, TrackResult
+from dcgs_ros.core.tracking.result import Reference, TrackingState, TrackResult
+from dcgs_ros.core.tracking.visited import origin
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.evaluation.rendering import Scores, ViewScores
 from dcgs_ros.evaluation.report import (
     Accuracy,
+    FinalMap,
     RunRecord,
     SkippedFrame,
     TrackedFrame,
@@ -211,6 +214,115 @@ def test_a_clock_that_is_set_back_costs_no_trajectory() -> None:
     assert report['frames'] == report['tracked'] + report['lost'] + report['skipped'] == 6
     assert report['states']['ok']['frames'] == 6
     assert report['realtime_factor'] > 0
+
+
+def referred(
+    index: int,
+    keyframe: int,
+    motion: NDArray[np.float64],
+    submap: int = 0,
+    revision: int = 0,
+    state: TrackingState = TrackingState.OK,
+) -> TrackedFrame:
+    """Return a frame that is `motion` off a keyframe, whose world has stepped by `STEP` since."""
+    frame = tracked(index, state)
+    before = np.eye(4) if revision == 0 else se3.inverse(STEP)
+    reference = Reference(keyframe, motion, submap, keyframe, revision, before)
+    T = (np.eye(4) if revision == 0 else STEP) @ frame.result.T_world_cam
+    T[:3, 3] += origin(submap)
+    return replace(frame, result=replace(frame.result, reference=reference, T_world_cam=T))
+
+
+STEP = se3.exp(np.array([0.5, 0.0, 0.2, 0.0, 0.3, 0.0]))
+ASIDE = se3.exp(np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.0]))
+
+
+def a_closed_record() -> RunRecord:
+    """Return a run whose second keyframe moved, and whose third is in a sub-map of its own."""
+    poses = np.stack([np.eye(4), STEP, ASIDE, ASIDE])
+    final = FinalMap(poses, poses[[0, 0, 2, 3]], np.array([0, 0, 1, 1], np.int32), [(0, 1)])
+    record = RunRecord('room', 'full', final=final)
+    record.tracked = [
+        tracked(0), referred(1, 0, ASIDE), referred(2, 1, ASIDE, revision=1),
+        referred(3, 1, np.eye(4), revision=2),
+        referred(4, 1, np.eye(4), revision=2, state=TrackingState.LOST), referred(5, 2, ASIDE, 1),
+    ]  # fmt: skip
+    return record
+
+
+def test_at_the_end_frames_are_where_their_keyframes_have_come_to_be() -> None:
+    record = a_closed_record()
+    optimized, mapped = record.optimized(), record.mapped()
+    assert optimized is not None
+    assert optimized.stamps_ns.tolist() == mapped.stamps_ns.tolist() == [
+        k * FRAME_NS for k in (1, 2, 3)
+    ]  # fmt: skip
+    np.testing.assert_allclose(optimized.T_world_cam, [ASIDE, STEP @ ASIDE, STEP])
+    np.testing.assert_allclose(mapped.T_world_cam, [ASIDE, ASIDE, np.eye(4)])
+    np.testing.assert_allclose(record.loop_ends(), [[np.zeros(3), STEP[:3, 3]]])
+    report = report_of(record)
+    assert report['loops'] == {'closed': 1, 'corrections': 2, 'submaps': 2, 'seconds': 0.0}
+
+
+def test_where_no_frame_has_a_keyframe_nothing_is_placed() -> None:
+    record = a_closed_record()
+    record.tracked = record.tracked[:1]
+    optimized = record.optimized()
+    assert optimized is not None and not len(optimized) and not len(record.mapped())
+
+
+def test_without_a_back_end_only_what_was_known_live_is_told() -> None:
+    record = a_record()
+    assert record.optimized() is None and len(record.loop_ends()) == 0
+    np.testing.assert_array_equal(record.mapped().T_world_cam, record.trajectory().T_world_cam)
+    report = report_of(record)
+    assert report['loops'] is None and report['optimized'] is None
+
+
+def test_sub_maps_that_are_not_joined_are_told_apart() -> None:
+    """The one with the most frames counts, at the place where it would begin if it were joined."""
+    record = a_closed_record()
+    assert record.trajectory().stamps_ns.tolist() == [k * FRAME_NS for k in (0, 1, 2, 3)]
+    claims = record.claims()
+    assert claims.submaps.tolist() == [0, 0, 0, 0, 0, 1] and claims.main_submap == 0
+    aside = claims.trajectory(1)
+    assert len(aside) == 1 and np.abs(aside.T_world_cam[:, :3, 3]).max() < 10.0
+    record.tracked += [referred(k, 2, ASIDE, 1) for k in range(6, 12)]
+    assert record.claims().main_submap == 1
+    assert record.trajectory().stamps_ns.tolist() == [k * FRAME_NS for k in range(5, 12)]
+
+
+def test_steps_of_the_world_are_not_motion() -> None:
+    """A correction makes the pose step; what was tracked between is judged without the step."""
+    steady = RunRecord('room', 'full', tracked=[tracked(k) for k in range(60)])
+    stepped = RunRecord('room', 'full', tracked=[
+        tracked(k) if k < 30 else referred(k, 0, np.eye(4), revision=1) for k in range(60)
+    ])  # fmt: skip
+    truth = steady.trajectory()
+    for record in (steady, stepped):
+        accuracy = assess_run(record, truth)
+        assert accuracy.silent is not None and accuracy.nees is not None
+        assert accuracy.silent.count == 0
+        np.testing.assert_allclose(accuracy.nees.values, 0.0, atol=1e-9)
+    uncorrected = stepped.claims().uncorrected
+    np.testing.assert_allclose(uncorrected.T_world_cam, truth.T_world_cam, atol=1e-12)
+    assert assess_run(stepped, truth).ate.rmse_cm > 1.0  # type: ignore[union-attr]
+
+
+def test_the_errors_at_the_end_are_beside_those_that_were_live() -> None:
+    record = RunRecord('room', 'full', tracked=[referred(k, 0, ASIDE) for k in range(40)])
+    truth = record.trajectory()
+    record.tracked = [
+        replace(frame, result=replace(frame.result, reference=replace(
+            frame.result.reference, T_keyframe_cam=frame.result.T_world_cam,
+        ))) for frame in record.tracked if frame.result.reference is not None
+    ]  # fmt: skip
+    record.final = FinalMap(STEP[None], STEP[None], np.zeros(1, np.int32), [])
+    accuracy = assess_run(record, truth)
+    assert accuracy.optimized is not None and accuracy.optimized.ate is not None
+    assert accuracy.optimized.ate.rmse_cm < 1e-6
+    report = report_of(record, accuracy)
+    assert report['optimized']['ate']['rmse_cm'] < 1e-6 and 'coverage' in report['ate']
 
 
 def a_trajectory(frames: int) -> Trajectory:

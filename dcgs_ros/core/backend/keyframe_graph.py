@@ -83,13 +83,14 @@ class KeyframeGraph:
         """Begin with keyframes of a map (K, 4, 4), which are certain: the world is theirs."""
         if len(self):
             raise BackEndError(f'there are {len(self)} keyframes already')
+        poses = np.array(poses, np.float64).reshape(-1, 4, 4)
         for k, (stamp_ns, T) in enumerate(zip(stamps_ns, poses, strict=True)):
             hosts = np.arange(max(k - 1, 0), k, dtype=np.int32)
             relative = se3.inverse(poses[hosts]) @ T
             self.add(
                 int(stamp_ns), T, Odometry(k, 0, hosts, relative, np.ones(len(hosts)), _RIGID)
             )
-        self.poses = np.array(poses, np.float64)  # to the last bit
+        self.poses = poses  # to the last bit
         self._restored = len(self)
 
     def believe(self, loops: Sequence[Loop]) -> None:

@@ -129,6 +129,15 @@ def test_loops_that_agree_by_chance_do_not_support_each_other() -> None:
     assert believed(walk, loops) == []
 
 
+def test_what_is_vague_between_two_loops_does_not_make_them_agree() -> None:
+    """They are so far apart that the odometry between them allows for their errors."""
+    walk = round_block(LAP + 60, 0, SIZE_M, LOST)
+    rng = np.random.default_rng(3)
+    views = range(LAP + 1, LAP + 58, 7)
+    loops = [walk.loop(k - LAP, k, rng, rng.uniform(-0.15, 0.15)) for k in views]
+    assert believed(walk, loops) == []
+
+
 def test_the_same_shift_on_the_other_side_makes_a_story_doubtful() -> None:
     """Impossible loops one period farther: possible ones may be a period too far themselves."""
     walk = round_block(LAP + 22, 0, SIZE_M, UNSURE)

@@ -104,6 +104,23 @@ def test_wrong_loops_lose_their_weight(seed: int) -> None:
     np.testing.assert_allclose(solution.T_world_cam, without.T_world_cam, atol=0.02)
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_many_wild_loops_do_not_take_the_right_ones_with_them(seed: int) -> None:
+    """Three wrong ones for each right one, each wrong in its own way."""
+    walk = round_block(5 * LAP, seed, (6.0, 3.0))
+    rng = np.random.default_rng(seed)
+    right = [loop_edge(walk, k - 60, k, 0.005 * rng.normal(size=6)) for k in range(60, 150, 3)]
+    wild = [
+        Edge(a, b, se3.exp(0.3 * rng.normal(size=6)), information_of(LOOP), loop=True)
+        for a, b in np.sort(rng.integers(0, 5 * LAP, (90, 2))).tolist()
+        if b - a > 10
+    ]
+    solution = optimise(walk.tracked, [*edges_of(walk), *right, *wild], [0])
+    weights = solution.weights[len(solution.weights) - len(right) - len(wild) :]
+    assert (weights[: len(right)] > 0.1).sum() > 0.9 * len(right)
+    assert np.median(weights[len(right) :]) < 0.01
+
+
 def test_the_same_input_gives_the_same_bytes() -> None:
     results = [
         closed(

@@ -70,9 +70,8 @@ class Run:
 
     @property
     def submaps(self) -> NDArray[np.int64]:
-        """(N,) in which sub-map each frame is; -1 where it has none."""
-        references = [None if r is None else r.reference for r in self.results]
-        return np.array([-1 if r is None else r.submap for r in references])
+        """(N,) in which sub-map each frame is; -1 where it was refused."""
+        return np.array([-1 if r is None else r.submap for r in self.results])
 
 
 def silent(run: Run) -> SilentFrames:

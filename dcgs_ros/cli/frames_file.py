@@ -88,7 +88,7 @@ def _tracked_row(frame: TrackedFrame) -> dict[str, str | int]:
         'state': result.state.value,
         'tracked': int(result.state is not TrackingState.LOST),
         'keyframe': int(result.keyframe),
-        'submap': 0 if reference is None else reference.submap,
+        'submap': result.submap,
         'revision': 0 if reference is None else reference.revision,
         'points': result.points,
         'inliers': result.inliers,

@@ -53,7 +53,7 @@ class Claims:
         )
         states = tuple(result.state for result in results)
         references = [result.reference for result in results]
-        submaps = np.array([0 if r is None else r.submap for r in references], np.int32)
+        submaps = np.array([result.submap for result in results], np.int32)
         before = [np.eye(4) if r is None else r.T_uncorrected_world for r in references]
         uncorrected = Trajectory(stamps, np.array(before).reshape(-1, 4, 4) @ poses)
         return cls(Trajectory(stamps, poses), states, covariances, world, submaps, uncorrected)

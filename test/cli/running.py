@@ -16,7 +16,8 @@ from dcgs_ros.cli.main import main
 from dcgs_ros.core.camera import PinholeCamera
 
 TRACKS = {
-    'trajectory.tum', 'keyframes.tum', 'frames.csv', 'config.yaml', 'report.json',
+    'trajectory.tum', 'trajectory_optimized.tum', 'keyframes.tum', 'frames.csv', 'config.yaml',
+    'report.json',
     'trajectory.png',
 }  # fmt: skip
 MAPS = {'map.ply', 'map.dcgs', 'views.png'}

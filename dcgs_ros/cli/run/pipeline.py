@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ...core.backend.warmup import warm_up as warm_up_back_end
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
@@ -160,8 +162,10 @@ class Pipeline:
         try:
             poses, tracker = self.closing.finish(), self.tracker
             if poses is not None:
+                mapped = tracker.keyframe_poses  # one may never have been handed over
+                poses = np.concatenate([poses, mapped[len(poses) :]])
                 record.final = FinalMap(
-                    poses, tracker.keyframe_poses, tracker.keyframe_submaps, self.closing.loops
+                    poses, mapped, tracker.keyframe_submaps, self.closing.loops
                 )
         finally:
             record.closing_s += time.perf_counter() - start

@@ -72,8 +72,9 @@ class Session:
             self._survey_depth()
             with deferred:  # even after a failure: this ends the mapper's thread
                 pipeline.refine(record, progress, lambda: stopped() or deferred.failed)
-            with deferred:
-                write_optimized(self._folder, record)
+            if record.tracked:
+                with deferred:
+                    write_optimized(self._folder, record)
         if pipeline.online:  # the mapper worked all the time
             record.mapping_s += record.frames_s
 

@@ -38,14 +38,15 @@ class Alignment:
     of_b: NDArray[np.int64]  # (I,) ... with these of b
 
     def is_telling(self, a: Features) -> bool:
-        """Return whether the features that agree are many, most of them, and not in one plane.
+        """Return whether the features that agree are many, most of them, and not in one plane."""
+        enough = self.inliers >= max(_TELLING, _TELLING_SHARE * self.matched)
+        return enough and not self.is_flat(a)
 
-        Few agree by chance; a floor or a wall that repeats itself is flat.
-        """
+    def is_flat(self, a: Features) -> bool:
+        """Return whether the features are in one plane, as of a floor that repeats itself."""
         points = a.points[self.of_a]
         off = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1]
-        enough = self.inliers >= max(_TELLING, _TELLING_SHARE * self.matched)
-        return bool(enough and off / np.sqrt(len(points)) > _THICK_M)
+        return bool(off / np.sqrt(len(points)) <= _THICK_M)
 
     def inverted(self) -> Alignment:
         """Return where a is relative to b."""

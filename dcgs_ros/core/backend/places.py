@@ -90,12 +90,15 @@ class Places:
         return [int(rows[k]) for k in best if votes[k] > 0.0]
 
     def recognise(self, frame: RgbdFrame) -> list[Recognition]:
-        """Return where a frame may have been taken, the likeliest first."""
+        """Return where a frame may have been taken, the likeliest first.
+
+        A dozen features that agree are enough, as the depth has to agree with the map as well.
+        """
         features = extract(frame, self._camera, self._config.sensor)
         found = []
         for keyframe in self.candidates(features, _TRIED):
             then, alignment = self._features[keyframe], self.align(keyframe, features)
-            if alignment is not None and alignment.is_telling(then):
+            if alignment is not None and not alignment.is_flat(then):
                 found.append(recognition(keyframe, then, features, alignment))
         return sorted(found, key=lambda one: -len(one.points))[:_OFFERED]
 

@@ -56,3 +56,8 @@ class TrackResult:
     keyframes: tuple[Keyframe, ...]  # finished with this frame: the first one with the second
     colour_depth_offset_ms: float
     reference: Reference | None = None  # None: there is no keyframe yet
+
+    @property
+    def submap(self) -> int:
+        """In which sub-map it is; 0, that of the map itself, before the first keyframe."""
+        return 0 if self.reference is None else self.reference.submap

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from ...core.tracking.result import TrackingState, TrackResult
 from ..health import Level, Verdict
-from .odometry_frame import submap_of
 
 _SILENT_S = 2.0  # without images: the camera is gone
 _FEW = 4  # images since the last report of which none need form a pair
@@ -90,7 +89,7 @@ def judge(
         assert result.observability is not None
         axis = weakest_axis(result.observability.weakest)
         return Verdict(Level.WARN, f'degenerate: hardly anything in view fixes {axis}')
-    if submap_of(result):
+    if result.submap:
         text = 'tracking in new surroundings, of which the place in the map is not known yet'
         return Verdict(Level.WARN, f'{text}: move to where the map is for ~/pose to go on')
     if streams.dropped > _DROPPING * max(streams.pairs, 1):
@@ -166,7 +165,7 @@ def numbers(result: TrackResult) -> dict[str, Any]:
         'inliers': result.inliers,
         'points': result.points,
         'landmarks': result.landmarks,
-        'submap': submap_of(result),
+        'submap': result.submap,
         'colour_depth_offset_ms': float(result.colour_depth_offset_ms),
     }
     if result.observability is not None:

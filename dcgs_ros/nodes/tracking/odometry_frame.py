@@ -63,7 +63,7 @@ class OdometryFrame:
         """
         last, T = self._last, self._T_odom_cam
         if last is None:
-            T = result.T_world_cam if submap_of(result) == 0 else T_base_cam
+            T = result.T_world_cam if result.submap == 0 else T_base_cam
         elif self._is_connected(last, result):
             T = T @ se3.inverse(last.T_world_cam) @ result.T_world_cam
         else:
@@ -79,12 +79,7 @@ class OdometryFrame:
         """Return whether the motion between two frames was tracked."""
         found = TrackingState.RELOCALISED
         found_again = result.state is found and last.state is not found
-        return not (self._broken or found_again or submap_of(last) != submap_of(result))
-
-
-def submap_of(result: TrackResult) -> int:
-    """Return the sub-map of a frame; 0, that of the map itself, before the first keyframe."""
-    return 0 if result.reference is None else result.reference.submap
+        return not (self._broken or found_again or last.submap != result.submap)
 
 
 def _in_world(covariance: NDArray[np.floating], T: NDArray[np.float64]) -> NDArray[np.float64]:

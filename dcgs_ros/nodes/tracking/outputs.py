@@ -30,7 +30,7 @@ from ..transforms import make_transforms
 from ..transport import RELIABLE, latched
 from .corrected import Corrected
 from .extrinsics import Mounting
-from .odometry_frame import OdometryFrame, OdometryPose, submap_of
+from .odometry_frame import OdometryFrame, OdometryPose
 from .trajectory_recorder import TrajectoryRecorder
 
 MAP_FRAME = 'map'
@@ -85,7 +85,7 @@ class TrackerOutputs:
         self._publish_odometry(result, in_odom, to_base)
         in_map = header(stamp_ns, self.world)
         self._camera_pose.publish(pose_stamped(result.T_world_cam, in_map))
-        if submap_of(result) == 0:
+        if result.submap == 0:
             T_map_base = to_base.pose(result.T_world_cam)
             self._pose.publish(pose_stamped(T_map_base, in_map))
             covariance = to_base.covariance(result.covariance_world, T_map_base)

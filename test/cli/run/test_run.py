@@ -75,6 +75,8 @@ CONTRACT = {
         'independent_motions',
     },
     'silent_frames': None,
+    'loops': {'closed', 'corrections', 'submaps', 'seconds'},
+    'optimized': {'ate', 'rpe_1s'},
     'mapping': {'gaussians', 'iterations', 'iterations_per_s'},
     'rendering': None,
     'timing': {'colour_depth_offset_ms'},

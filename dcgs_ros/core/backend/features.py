@@ -15,7 +15,7 @@ from ..camera import PinholeCamera
 from ..frame import RgbdFrame
 from ..sensor import SensorNoise
 from ..tracking.estimator import to_grey
-from ..tracking.landmarks import _back_projected, _depth_at, _in_range
+from ..tracking.landmarks import back_projected, depth_at, in_range
 
 _CANDIDATES = 3000  # corners of an image from which the features are chosen
 _FAST = 8  # grey levels: ORB's default of 20 finds nothing in dim light
@@ -67,11 +67,11 @@ def extract(
         descriptors = np.empty((0, 32), np.uint8)
     pixels = np.array([corner.pt for corner in corners], np.float32).reshape(-1, 2)
     moved = np.eye(4) if T_cam_cam_at_depth is None else T_cam_cam_at_depth
-    guess = _depth_at(frame.depth_m, pixels, sensor.a_m, sensor.b_per_m)
+    guess = depth_at(frame.depth_m, pixels, sensor.a_m, sensor.b_per_m)
     guess = np.where(guess > 0.0, guess, np.float32(1.0))
     still = np.zeros(6)
-    z, rays = _back_projected(pixels, guess, frame.depth_m, moved, still, camera, sensor)
-    z = np.where(_in_range(z, sensor), z, np.float32(0.0))
+    z, rays = back_projected(pixels, guess, frame.depth_m, moved, still, camera, sensor)
+    z = np.where(in_range(z, sensor), z, np.float32(0.0))
     return Features(descriptors, pixels, rays[:, :2].astype(np.float32), z)
 
 

@@ -127,10 +127,10 @@ class Landmarks:
     ) -> Sightings:
         """Return where a keyframe sees the corners, at colour's instant."""
         expected = np.maximum(self.seen_from(T_world_cam)[:, 2], _NEAREST_M).astype(np.float32)
-        z, rays = _back_projected(
+        z, rays = back_projected(
             self.pixels, expected, depth_m, T_cam_cam_at_depth, twist, camera, sensor
         )
-        z = np.where(_in_range(z, sensor), z, np.float32(0.0))
+        z = np.where(in_range(z, sensor), z, np.float32(0.0))
         return Sightings(self.ids, rays[:, :2].astype(np.float32), z)
 
     def measured(
@@ -150,13 +150,13 @@ class Landmarks:
         ray only; it stands at the expected depth, with a variance of 1 m^2 along the ray.
         """
         expected = np.maximum(self.seen_from(T_world_predicted)[:, 2], _NEAREST_M)
-        measured, rays = _back_projected(
+        measured, rays = back_projected(
             self.pixels, expected.astype(np.float32), depth_m, T_cam_cam_at_depth, twist, camera,
             sensor,
         )  # fmt: skip
         off = np.abs(measured - expected)
         bearing = off > _CONTRADICTS * np.sqrt(2.0) * sensor.sigma(expected) + _ROUGH_M
-        bearing |= ~_in_range(measured, sensor)
+        bearing |= ~in_range(measured, sensor)
         points = (rays * np.where(bearing, expected, measured)[:, None]).astype(np.float32)
         ranges = np.linalg.norm(points, axis=1)
         along = np.where(bearing, 1.0, np.square(sensor.sigma(ranges)))
@@ -184,14 +184,15 @@ def detect(
 
     l = x + n_j n_j^T (mu_j - x), with the anchor's covariance Sigma_t,j. A corner without a
     Gaussian near it is placed at its measured point x, with Sigma_t of this view, which is of
-    keyframe `host`, or -1. There are at
-    most `config.corners` together with those `alive`, which they keep their distance from.
+    keyframe `host`, or -1. A smooth bias of depth adds to the variance along the ray: the bearing
+    counts then, and the depth hardly. There are at most `config.corners` together with those
+    `alive`, which they keep their distance from.
     """
     wanted = config.corners - len(alive)
     pixels = corners(grey, alive.pixels, _SPARE * wanted, config)
-    guess = _depth_at(depth_m, pixels, sensor.a_m, sensor.b_per_m)
-    z, rays = _back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, twist, camera, sensor)
-    best = np.flatnonzero(_in_range(z, sensor))[: max(wanted, 0)]  # the strongest are first
+    guess = depth_at(depth_m, pixels, sensor.a_m, sensor.b_per_m)
+    z, rays = back_projected(pixels, guess, depth_m, T_cam_cam_at_depth, twist, camera, sensor)
+    best = np.flatnonzero(in_range(z, sensor))[: max(wanted, 0)]  # the strongest are first
     pixels, points = pixels[best], rays[best] * z[best, None]
     R, t = T_world_cam[:3, :3], T_world_cam[:3, 3]
     world = se3.transform(T_world_cam, points).astype(np.float32)
@@ -207,7 +208,12 @@ def detect(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     height = np.sum((seen_at - world) * normals, axis=1, keepdims=True)
     anchors = observed_from(seen_at, seen_from, sensor, anchor_px / camera.focal, hosts)
-    targets = replace(anchors, points=(world + normals * height).astype(np.float32))
+    bias_m = sensor.depth_bias * np.linalg.norm(seen_at - seen_from, axis=1)
+    targets = replace(
+        anchors,
+        points=(world + normals * height).astype(np.float32),
+        along=(anchors.along + np.square(bias_m)).astype(np.float32),
+    )
     patches = cut(grey, pixels, z[best], normals @ R, T_world_cam, camera)
     return Landmarks(pixels, targets, patches, np.full(len(pixels), -1))
 
@@ -232,7 +238,7 @@ def _klt(
     return found_at.reshape(-1, 2), status.ravel() > 0
 
 
-def _back_projected(
+def back_projected(
     pixels: NDArray[np.float32],  # (L, 2)
     expected_m: NDArray[np.float32],  # (L,) expected depth
     depth_m: NDArray[np.float32],  # (H, W)
@@ -261,19 +267,19 @@ def _back_projected(
     then = se3.transform(T_cam_at_depth_cam, there)
     visible = then[:, 2] > 0.05
     looked_up = np.zeros(len(pixels), np.float32)
-    looked_up[visible] = _depth_at(
+    looked_up[visible] = depth_at(
         depth_m, camera.project(then[visible]), sensor.a_m, sensor.b_per_m
     )
     depth = np.where(looked_up > 0, looked_up + there[:, 2] - then[:, 2], 0.0)
     return depth.astype(np.float32), rays
 
 
-def _in_range(z: NDArray[np.float32], sensor: SensorNoise) -> NDArray[np.bool_]:
+def in_range(z: NDArray[np.float32], sensor: SensorNoise) -> NDArray[np.bool_]:
     return (z > sensor.depth_min_m) & (z < sensor.depth_max_m)
 
 
 @kernel
-def _depth_at(depth, pixels, noise_a, noise_b):
+def depth_at(depth, pixels, noise_a, noise_b):
     """Return (L,) float32, metres: the mean of the valid 3x3 depths at each pixel; 0 at an edge.
 
     `depth` (H, W) metres, `pixels` (L, 2) as x, y; `noise_a` in metres, `noise_b` in 1/metre.

@@ -112,10 +112,11 @@ def detected(
     camera: PinholeCamera = PINHOLE,
     alive: Landmarks | None = None,
     config: LandmarkConfig = CONFIG,
+    sensor: SensorNoise = SENSOR,
 ) -> Landmarks:
     alive = Landmarks.none() if alive is None else alive
     return detect(
-        grey, depth_m, alive, T_WORLD_CAM, STILL, AT_REST, gaussians, camera, SENSOR, config,
+        grey, depth_m, alive, T_WORLD_CAM, STILL, AT_REST, gaussians, camera, sensor, config,
         ANCHOR_PX, KEYFRAME,
     )  # fmt: skip
 
@@ -188,6 +189,20 @@ def test_far_from_any_gaussian_a_landmark_is_where_it_was_measured() -> None:
         viewpoint, px = T_WORLD_CAM[:3, 3], ANCHOR_PX / 262.0
         own = observed_from(x.astype(np.float32), viewpoint, SENSOR, px, found.targets.hosts)
         np.testing.assert_allclose(found.targets.covariances, own.covariances, rtol=1e-3)
+
+
+def test_a_smooth_bias_of_depth_leaves_the_range_open() -> None:
+    """By its share of the range from where the anchor was seen; across the ray nothing changes."""
+    depth_m = plane_depth(PINHOLE, np.array([0.0, 0.0, -1.0]), 1.2)
+    gaussians, grey = map_about(PINHOLE, depth_m, seed=8), image_of_blocks(seed=9)
+    biased = replace(SENSOR, depth_bias=0.02)
+    without = detected(grey, depth_m, gaussians).targets
+    found = detected(grey, depth_m, gaussians, sensor=biased).targets
+    ranges = np.sqrt(without.perp) * PINHOLE.focal / ANCHOR_PX
+    expected = without.along + (0.02 * ranges) ** 2
+    np.testing.assert_allclose(found.along, expected, rtol=1e-5)
+    np.testing.assert_array_equal(found.perp, without.perp)
+    np.testing.assert_array_equal(found.points, without.points)
 
 
 def test_a_rolling_shutter_is_undone() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....core.camera import PinholeCamera
+from ....core.sensor import SensorNoise
 from ..noise import smoothed, white_noise
 from ..raycast import SceneView
 from .color_camera import LUMA
@@ -24,7 +25,7 @@ _LEAST_RETURN = 0.055  # of a white surface at 1 m, seen straight on
 class UncalibratedLight:
     """Kinect v1 with a depth bias and a misregistration of its own, holes where little returns."""
 
-    noise = replace(StructuredLight.noise, depth_bias=0.01)
+    noise = replace(StructuredLight.noise, depth_bias=SensorNoise.kinect().depth_bias)
     lag_ms = StructuredLight.lag_ms
     offset_ms = StructuredLight.offset_ms
     sees_texture = True

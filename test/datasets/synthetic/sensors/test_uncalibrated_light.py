@@ -8,6 +8,7 @@ import pytest
 from walls import SHAPE, wall  # type: ignore[import-not-found]
 
 from dcgs_ros.core.camera import PinholeCamera
+from dcgs_ros.core.sensor import SensorNoise
 from dcgs_ros.datasets.synthetic.sensors.depth_camera import Shot
 from dcgs_ros.datasets.synthetic.sensors.uncalibrated_light import UncalibratedLight
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
@@ -68,3 +69,7 @@ def test_what_is_dark_far_or_grazing_is_lost():
     assert share(brightness=20.0) < 0.05
     assert share(brightness=160.0, depth_m=5.0) < 0.05
     assert share(brightness=160.0, cosine=0.17) < 0.05
+
+
+def test_it_is_tracked_as_a_real_kinect_is():
+    assert UncalibratedLight(0).noise.depth_bias == SensorNoise.kinect().depth_bias > 0

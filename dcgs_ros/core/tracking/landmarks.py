@@ -275,6 +275,7 @@ def back_projected(
 
 
 def in_range(z: NDArray[np.float32], sensor: SensorNoise) -> NDArray[np.bool_]:
+    """Return which depths (L,), metres, are where the sensor measures."""
     return (z > sensor.depth_min_m) & (z < sensor.depth_max_m)
 
 

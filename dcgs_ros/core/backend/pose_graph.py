@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_matrix, csc_matrix
-from scipy.sparse.linalg import splu
+from scipy.sparse import csc_matrix
 
 from . import linearisation
+from .block_structure import BlockStructure
 from .edges import Edge, EdgeArrays
 
 LOOP_CHI2 = 22.46  # chi-square of 6 degrees of freedom, exceeded by one right loop of 1000
@@ -88,16 +88,8 @@ class _Graph:
         free[list(fixed)] = False
         self.nodes = np.where(free, np.cumsum(free) - 1, -1)
         self.free = int(free.sum())
-        a, b = self.nodes[edges.a], self.nodes[edges.b]
-        pairs = np.stack([np.stack(pair, 1) for pair in ((a, a), (a, b), (b, a), (b, b))], 1)
-        keys = pairs[..., 0] * self.free + pairs[..., 1]
-        there = (pairs >= 0).all(axis=2)
-        diagonal = np.arange(self.free) * (self.free + 1)
-        unique = np.unique(np.concatenate([keys[there], diagonal]))
-        self.slots = np.where(there, np.searchsorted(unique, keys), -1)
-        self.diagonal = np.searchsorted(unique, diagonal)
-        self.columns = unique % self.free
-        self.starts = np.searchsorted(unique, np.arange(self.free + 1) * self.free)
+        pairs = np.stack([edges.a, edges.b], axis=1)
+        self.structure = BlockStructure(self.nodes[pairs], self.free)
 
     def minimise(
         self, poses: NDArray[np.float64], scale: float, iterations: int
@@ -110,7 +102,7 @@ class _Graph:
             blocks, gradient = self._equations(poses, errors, weights)
             moved, cost_before = poses, cost
             while damping <= _MOST_DAMPING:
-                xi = self._solve(blocks, gradient, damping)
+                xi = self.structure.solve(blocks, gradient, damping)
                 trial = np.empty_like(poses)
                 linearisation.step(poses, self.nodes, xi, trial)
                 errors_then, cost_then = self._evaluate(trial, scale)
@@ -139,7 +131,7 @@ class _Graph:
     def information(self, poses: NDArray[np.float64], weights: NDArray[np.float64]) -> csc_matrix:
         """Return the information matrix (6 F, 6 F) of the free poses."""
         blocks, _ = self._equations(poses, self._errors(poses), weights)
-        return self._sparse(blocks)
+        return self.structure.matrix(blocks)
 
     def _errors(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         errors = np.empty((len(self.edges.a), 6))
@@ -168,32 +160,9 @@ class _Graph:
         weights: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the blocks (B, 6, 6) and the gradient (F, 6)."""
-        blocks, gradient = np.zeros((len(self.columns), 6, 6)), np.zeros((self.free, 6))
+        blocks, gradient = np.zeros((self.structure.blocks, 6, 6)), np.zeros((self.free, 6))
         linearisation.accumulate(
             poses, self.edges.a, self.edges.b, errors, self.edges.information, weights,
-            self.slots, self.nodes, blocks, gradient,
+            self.structure.slots, self.nodes, blocks, gradient,
         )  # fmt: skip
         return blocks, gradient
-
-    def _solve(
-        self, blocks: NDArray[np.float64], gradient: NDArray[np.float64], damping: float
-    ) -> NDArray[np.float64]:
-        """Return the damped step (F, 6)."""
-        damped = blocks.copy()
-        k = np.arange(6)
-        damped[self.diagonal[:, None], k, k] *= 1.0 + damping
-        return np.asarray(-factorised(self._sparse(damped)).solve(gradient.ravel())).reshape(-1, 6)
-
-    def _sparse(self, blocks: NDArray[np.float64]) -> csc_matrix:
-        """Return the symmetric matrix, of which rows and columns are alike."""
-        size = (6 * self.free, 6 * self.free)
-        rows = bsr_matrix((blocks, self.columns, self.starts), size).tocsr()
-        return csc_matrix((rows.data, rows.indices, rows.indptr), size)
-
-
-def factorised(information: csc_matrix) -> splu:
-    """Return the factors of a positive definite matrix, ordered for little fill-in."""
-    return splu(
-        information, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
-        options={'SymmetricMode': True},
-    )  # fmt: skip

@@ -46,6 +46,13 @@ for k in range(0, 30, 3):
     results.append(both.tracker.track(frame))
     both.mapping.after(frame, results[-1])
     both.mapping.advance()
+    both.closing.after(results[-1])
+    both.closing.advance()
+both.tracker.correct(both.tracker.corrected_poses)
+both.tracker.interrupt()
+for k in (30, 33):
+    both.tracker.track(replace(frame, stamp_ns=k * 10**9, depth_stamp_ns=k * 10**9))
+both.closing.finish()
 for left in both.mapping.finish():
     pass
 assert sum(result.keyframe for result in results) >= 2, [r.keyframe for r in results]

@@ -35,4 +35,4 @@ def warm_up_with_mapper(camera: PinholeCamera, config: Config) -> None:
         mapping.advance()
     for _ in mapping.finish():
         pass
-    warm_up_now_and_then(camera)
+    warm_up_now_and_then(tracker)

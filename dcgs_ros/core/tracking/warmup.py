@@ -46,13 +46,13 @@ def warm_up(camera: PinholeCamera, config: Config) -> None:
     tracker = Tracker(camera, override(config, EVERY_FRAME))
     for frame in frames(camera, config.sensor):
         tracker.track(frame)
+    warm_up_now_and_then(tracker)
+
+
+def warm_up_now_and_then(tracker: Tracker) -> None:
+    """Run the kernels that a few frames do not come to; the tracker has a keyframe."""
     tracker.correct(tracker.corrected_poses)
-    warm_up_now_and_then(camera)
-
-
-def warm_up_now_and_then(camera: PinholeCamera) -> None:
-    """Run the kernels of `Tracker.track` that a few frames do not come to."""
-    DepthBias(camera, 0.0).correct_by(np.zeros(TERMS))
+    DepthBias(tracker.camera, 0.0).correct_by(np.zeros(TERMS))
 
 
 def frames(camera: PinholeCamera, sensor: SensorNoise) -> Iterator[RgbdFrame]:

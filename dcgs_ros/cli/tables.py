@@ -99,7 +99,7 @@ def _loop_rows(report: dict[str, Any]) -> list[Row]:
     rows = [('loops', text)]
     if optimized is not None and optimized['ate'] is not None:
         ate = optimized['ate']
-        rows.append(('ATE at the end', f'{ate["rmse_cm"]:.2f} cm RMSE; {ate["max_cm"]:.2f} max'))
+        rows.append(('final ATE', f'{ate["rmse_cm"]:.2f} cm RMSE; {ate["max_cm"]:.2f} max'))
     return rows
 
 

@@ -70,7 +70,7 @@ def test_poses_of_the_second_session_are_in_the_world_of_the_first(
         tmp_path / 'there', SMALL_ADDRESS, '--map', str(mapped.folder / 'map.dcgs'), '--localize'
     )
     assert again.status == 0, again.err
-    assert again.files() == TRACKS  # no map
+    assert again.files() == TRACKS - {'trajectory_optimized.tum'}  # no map, no back end
     assert 'localising in' in again.err and '1 sessions' in again.err
     one, other = (read_tum(run.folder / 'trajectory.tum') for run in (mapped, again))
     common = np.isin(one.stamps_ns, other.stamps_ns)

@@ -45,6 +45,7 @@ RENDERING = {
 PRINTED_M = 1e-9  # decimals of a trajectory file
 FLOAT32 = 1e-5  # relative
 FULL_ROOM = ('synthetic:room?frames=8', '--quality', 'draft', '--set', 'mapping.final_steps=20')
+WARM_UP = 8  # frames that are tracked before the first one: by the tracker's, and the back end's
 STEPS = 10_000  # more than any test waits for
 PATIENCE_S = 120.0  # only a failure takes so long
 
@@ -241,8 +242,7 @@ def test_ctrl_c_while_tracking_skips_the_refinement_and_writes_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, online: bool
 ) -> None:
     words = [*SMALL_ROOM, f'mapping.final_steps={STEPS}', *['--online'] * online]
-    # The warm-up tracks four frames.
-    monkeypatch.setattr(Tracker, 'track', interrupting(Tracker.track, 4 + 5))
+    monkeypatch.setattr(Tracker, 'track', interrupting(Tracker.track, WARM_UP + 5))
     done = run_into(tmp_path / 'run', *words)
     assert done.status == 130
     assert done.files() == TRACKS | MAPS
@@ -333,7 +333,7 @@ def test_frames_that_come_while_the_tracker_is_busy_are_dropped_and_counted(
     def slow(self: Tracker, frame: Any) -> Any:
         nonlocal calls
         calls += 1
-        if calls == 4 + 1:  # after the warm-up's
+        if calls == WARM_UP + 1:
             for thread in threading.enumerate():
                 if thread.name == 'prefetch':  # it ends with the last frame
                     thread.join(PATIENCE_S)

@@ -87,7 +87,7 @@ def _closing(
             tracker.recogniser = places_of(features, camera, config)
         return NoClosing()
     with _explained_if_slow('dcgs: compiling kernels (once)'):
-        warm_up_back_end(camera, config)
+        warm_up_back_end(camera)
     closing = (ClosingOnline if online else ClosingInLockstep)(tracker, mapping)
     if known is not None:
         stamps_ns, poses = known.tracker.stamps_ns.tolist(), known.tracker.poses

@@ -17,11 +17,13 @@ from .closure import Closures
 from .keyframe_graph import warm_up as warm_up_graph
 
 
-def warm_up(camera: PinholeCamera, config: Config) -> None:
+def warm_up(camera: PinholeCamera) -> None:
     """Run every kernel of the back end with the types it will see, on frames of a plane.
 
-    Takes a fraction of a second once the kernels are in the cache on disk.
+    They do not depend on the settings, with which nothing need be tracked. Takes a fraction of a
+    second once the kernels are in the cache on disk.
     """
+    config = Config()
     back_end, tracker = BackEnd(camera, config), Tracker(camera, override(config, EVERY_FRAME))
     closures = Closures(camera, config)
     for frame in frames(camera, config.sensor):

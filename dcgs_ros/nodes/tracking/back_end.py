@@ -26,4 +26,4 @@ def make_loops(
 def warm_up_loops(config: Config) -> None:
     """Load the kernels of the back end: compiling them later would hold up tracking."""
     if config.backend.loops:
-        warm_up(ANY_CAMERA, config)
+        warm_up(ANY_CAMERA)

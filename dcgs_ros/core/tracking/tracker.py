@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
+from .claims import Claim, Clocks, PoseClaims
 from .corners import spread
 from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
@@ -26,38 +26,21 @@ from .gaussian_map import GaussianMap
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
-from .observability import Observability, observability
-from .propagation import BiasVariance, MotionLimit
+from .observability import observability
 from .registration import DepthTerm, Registration
 from .relocalization import Recogniser, Relocalizer
 from .result import Reference, TrackingState, TrackResult
 from .standstill import Standstill
-from .uncertainty import PoseUncertainty, pose_uncertainty
+from .uncertainty import PoseUncertainty
 from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigmas, weigh
 from .visited import UNKNOWN, Visited, origin
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
 _AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move, or be noise
-_LEAST_VARIANCE = 1e-10  # of shared covariances' residuals: perfect depth leaves none
 _SEARCH_STEP_S = 0.2  # that a frame counts for at most in a search
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
-
-
-@dataclass(frozen=True)
-class _Claim:
-    """How sure a pose is."""
-
-    covariance: NDArray[np.float64]  # (6, 6) in the map around the camera
-    in_world: NDArray[np.float64]  # (6, 6)
-    hosts: NDArray[np.int32]  # (N,) keyframes of what the frame matches
-    submap: int
-
-    @classmethod
-    def certain(cls) -> _Claim:
-        """Return that of the frame that begins a map: the world is its."""
-        return cls(np.zeros((6, 6)), np.zeros((6, 6)), np.empty(0, np.int32), 0)
 
 
 class Tracker:
@@ -89,9 +72,8 @@ class Tracker:
         self._next_landmark = 0  # id
         self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
-        self._limit: MotionLimit | None = None  # of the last frame that was tracked
+        self._claims = PoseClaims(camera, self._config)
         self._standstill: Standstill | None = None  # while images repeat, and may
-        self._bias = BiasVariance()
         self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
@@ -129,10 +111,10 @@ class Tracker:
         guesses = [found.registered.T_world_cam]
         if not found.is_trusted(self._config):
             return self._search(frame, self._lose(), guesses)
-        uncertainty = self._uncertainty(found.registration)
+        uncertainty = self._claims.uncertainty(found.registration)
         evidence = weigh(
-            found, self._memory, self._usual, self._in_doubt(uncertainty), self.gaussians,
-            self.camera, self._config,
+            found, self._memory, self._usual, self._claims.in_doubt(uncertainty, self._clocks),
+            self.gaussians, self.camera, self._config,
         )  # fmt: skip
         if evidence.contradicts:
             return self._search(frame, self._lose(), guesses)
@@ -149,19 +131,20 @@ class Tracker:
 
     def _repeated(self, frame: RgbdFrame) -> TrackResult:
         """Keep the pose of a camera that may stand still; other repeated images are a fault."""
-        if self._limit is None or self.searching:
+        limit = self._claims.limit
+        if limit is None or self.searching:
             return self._lost(frame)
         motion, stamp_ns = self._memory.motion, frame.stamp_ns
         self._standstill = self._standstill or Standstill.begun(
-            motion, self._limit, self._usual, stamp_ns
+            motion, limit, self._usual, stamp_ns
         )
         if self._standstill is None:
             return self._lost(frame)
         self._first = None  # at rest its depth is of colour's instant too
-        self._limit = self._standstill.limit(self._limit, stamp_ns)
-        T, covariance = self.T_world_cam, self._limit.covariance
+        limit = self._claims.limit = self._standstill.limit(limit, stamp_ns)
+        T, covariance = self.T_world_cam, limit.covariance
         self._memory = replace(self._memory, motion=motion.advanced(T, stamp_ns))
-        state = TrackingState.DEGENERATE if self._exceeds(covariance) else TrackingState.OK
+        state = TrackingState.DEGENERATE if self._claims.exceeds(covariance) else TrackingState.OK
         in_world = self._visited.in_world(T, covariance, np.array([self._host], np.int32))
         return TrackResult(
             stamp_ns, T, np.eye(4), covariance, in_world,
@@ -228,8 +211,7 @@ class Tracker:
         self._policy.move(here)
         self._held = [keyframe.moved(here) for keyframe in self._held]
         self._memory = self._memory.moved(motions, here)
-        if self._limit is not None:
-            self._limit = replace(self._limit, T_world_cam=here @ self._limit.T_world_cam)
+        self._claims.move(here)
         if self._relocalizer is not None:
             self._relocalizer.move(self.T_world_cam, self._unrecognisable())
 
@@ -250,7 +232,9 @@ class Tracker:
             for name in ('sensor', 'ablation', 'threads', 'timing')
         }
         self.config = replace(config, **kept)
-        self._config = self.config.scaled_to(self.camera.width, self.camera.height)
+        self._config = self._claims.config = self.config.scaled_to(
+            self.camera.width, self.camera.height
+        )
         self._policy.config = self._config.keyframes
 
     @property
@@ -360,7 +344,7 @@ class Tracker:
         self.gaussians = GaussianMap(2.0 * self._config.registration.radius_m)
         self._visited.reset()
         self._depth_bias.reset(())
-        return self._start_submap(frame, grey, T_world_cam, twist, _Claim.certain())
+        return self._start_submap(frame, grey, T_world_cam, twist, Claim.certain())
 
     def _start_submap(
         self,
@@ -368,9 +352,9 @@ class Tracker:
         grey: NDArray[np.uint8],
         T_world_cam: NDArray[np.float64],
         twist: NDArray[np.float64],
-        claim: _Claim,
+        claim: Claim,
     ) -> Keyframe:
-        self._limit = MotionLimit.begun(np.zeros((6, 6)), T_world_cam, frame.stamp_ns)
+        self._claims.begin(T_world_cam, frame.stamp_ns)
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist, twist)
@@ -424,7 +408,7 @@ class Tracker:
         T = self.T_world_cam.copy()
         T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
         self._relocalizer, self._usual = None, Usual()
-        claim = _Claim(np.zeros((6, 6)), UNKNOWN, np.empty(0, np.int32), submap)
+        claim = Claim(np.zeros((6, 6)), UNKNOWN, np.empty(0, np.int32), submap)
         keyframe = self._start_submap(frame, to_grey(frame.color), T, np.zeros(6), claim)
         self._held.append(keyframe)
         return TrackResult(
@@ -455,11 +439,12 @@ class Tracker:
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
-        uncertainty = self._uncertainty(best)
+        claims, uncertainty = self._claims, self._claims.uncertainty(best)
         spectrum = observability(best.equations.H, uncertainty.information)
-        if self._is_degenerate(spectrum, self._measured(uncertainty)):
+        if claims.is_degenerate(spectrum, claims.measured(uncertainty, self._clocks)):
             return self._lost(frame, best)  # it may be anywhere along that direction
-        jump = jump_sigmas(T, motion.prior(frame.stamp_ns), self._in_doubt(uncertainty))
+        doubt = claims.in_doubt(uncertainty, self._clocks)
+        jump = jump_sigmas(T, motion.prior(frame.stamp_ns), doubt)
         if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
             return self._lost(frame, best)  # it cannot have got there
         self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
@@ -468,7 +453,7 @@ class Tracker:
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
             last=registered, image=registered, overlap=best.overlap,
         )  # fmt: skip
-        self._limit = None
+        claims.limit = None
         self._anchor_landmarks(registered)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
@@ -535,7 +520,7 @@ class Tracker:
         )  # fmt: skip
 
     def _extend_map(
-        self, registered: RegisteredFrame, last: RegisteredFrame | None, claim: _Claim
+        self, registered: RegisteredFrame, last: RegisteredFrame | None, claim: Claim
     ) -> Keyframe:
         """Refresh Sigma_t of the Gaussians in view, spawn new ones, anchor new landmarks.
 
@@ -595,26 +580,20 @@ class Tracker:
         there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
         self._memory = replace(self._memory, landmarks=landmarks, spread=there)
 
-    def _uncertainty(self, found: Registration) -> PoseUncertainty:
-        variance = 1.0
-        if self._config.shares_covariance:  # not metric: scaled by the residual
-            variance = max(found.sharp_depth.cost / max(found.inliers - 6, 1), _LEAST_VARIANCE)
-        return pose_uncertainty(found, self.camera, variance)
-
     def _result(
         self,
         found: Estimate,
         uncertainty: PoseUncertainty,
-        claim: _Claim,
+        claim: Claim,
         keyframe: bool,
     ) -> TrackResult:
         registered, result = found.registered, found.registration
         spectrum = observability(result.equations.H, uncertainty.information)
-        assert self._limit is not None
+        assert self._claims.limit is not None
         state = TrackingState.OK
         if self._unconfirmed:
             state = TrackingState.RELOCALISED
-        elif self._is_degenerate(spectrum, self._limit.covariance):
+        elif self._claims.is_degenerate(spectrum, self._claims.limit.covariance):
             state = TrackingState.DEGENERATE
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,
@@ -632,50 +611,14 @@ class Tracker:
             self._visited.stamps_ns[self._host], self.revision, self._T_uncorrected_world,
         )  # fmt: skip
 
-    def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> _Claim:
+    def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> Claim:
         """Return how sure the pose is, in the map around the camera and in the world."""
-        covariance = self._covariance(found.registered, uncertainty)
-        hosts = found.registration.hosts
-        T = found.registered.T_world_cam
+        hosts, T = found.registration.hosts, found.registered.T_world_cam
+        stamp_ns = found.registered.frame.stamp_ns
+        covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks)
         in_world = self._visited.in_world(T, covariance, hosts)
-        return _Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
+        return Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
 
-    def _covariance(
-        self, registered: RegisteredFrame, uncertainty: PoseUncertainty
-    ) -> NDArray[np.float64]:
-        """Return what residuals, clocks and the motion so far leave open of a pose (6, 6)."""
-        self._bias = self._bias.observed(uncertainty.bias_evidence)
-        measured = self._measured(uncertainty)
-        T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
-        if self._limit is None:
-            self._limit = MotionLimit.begun(measured, T, stamp_ns)
-        else:
-            self._limit = self._limit.updated(measured, T, stamp_ns)
-        late = 1e-3 * self._config.sensor.stamp_ms * self._memory.motion.twist
-        return self._limit.covariance + np.outer(late, late)
-
-    def _measured(self, uncertainty: PoseUncertainty) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) of a pose from its own frame alone."""
-        return uncertainty.covariance(
-            self._bias.beta2, self._offset.sigma_s, self._memory.motion.twist
-        )
-
-    def _in_doubt(self, uncertainty: PoseUncertainty) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) of a pose and of the one before, together."""
-        before = np.zeros((6, 6)) if self._limit is None else self._limit.covariance
-        return before + self._measured(uncertainty)
-
-    def _is_degenerate(self, spectrum: Observability, covariance: NDArray[np.float64]) -> bool:
-        """Return whether a direction is not held, by this frame or by what is claimed of it."""
-        limits = self._config.registration
-        unheld = spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
-        return unheld or self._exceeds(covariance)
-
-    def _exceeds(self, covariance: NDArray[np.float64]) -> bool:
-        """Return whether the largest claimed sigma (6, 6) is that of a degenerate pose."""
-        limits = self._config.registration
-        claimed_m, claimed_rad = (
-            math.sqrt(np.linalg.eigvalsh(block)[-1])
-            for block in (covariance[:3, :3], covariance[3:, 3:])
-        )
-        return claimed_m > limits.degenerate_m or claimed_rad > limits.degenerate_rad
+    @property
+    def _clocks(self) -> Clocks:
+        return Clocks(self._offset.sigma_s, self._memory.motion.twist)

@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How sure a pose is: what residuals, clocks and the motion so far leave open of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PinholeCamera
+from ..config.stages import Config
+from .observability import Observability
+from .propagation import BiasVariance, MotionLimit
+from .registration import Registration
+from .uncertainty import PoseUncertainty, pose_uncertainty
+
+_LEAST_VARIANCE = 1e-10  # of shared covariances' residuals: perfect depth leaves none
+
+
+@dataclass(frozen=True)
+class Claim:
+    """How sure a pose is."""
+
+    covariance: NDArray[np.float64]  # (6, 6) in the map around the camera
+    in_world: NDArray[np.float64]  # (6, 6)
+    hosts: NDArray[np.int32]  # (N,) keyframes of what the frame matches
+    submap: int
+
+    @classmethod
+    def certain(cls) -> Claim:
+        """Return that of the frame that begins a map: the world is its."""
+        return cls(np.zeros((6, 6)), np.zeros((6, 6)), np.empty(0, np.int32), 0)
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """What time leaves open of a frame's pose."""
+
+    lag_sigma_s: float  # standard deviation of colour's offset to depth
+    twist: NDArray[np.float64]  # (6,) of the camera, per second, in its frame
+
+
+class PoseClaims:
+    """The covariances of poses in the map around the camera, from frame to frame."""
+
+    def __init__(self, camera: PinholeCamera, config: Config) -> None:
+        """Start before the first pose."""
+        self._camera, self.config = camera, config
+        self.limit: MotionLimit | None = None  # of the last frame that was tracked
+        self._bias = BiasVariance()
+
+    def begin(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> None:
+        """Begin at a certain pose (4, 4)."""
+        self.limit = MotionLimit.begun(np.zeros((6, 6)), T_world_cam, stamp_ns)
+
+    def move(self, motion: NDArray[np.float64]) -> None:
+        """Go on where a correction moves the camera by `motion` (4, 4) in the world."""
+        if self.limit is not None:
+            self.limit = replace(self.limit, T_world_cam=motion @ self.limit.T_world_cam)
+
+    def uncertainty(self, found: Registration) -> PoseUncertainty:
+        """Return what the residuals of a registration leave open."""
+        variance = 1.0
+        if self.config.shares_covariance:  # not metric: scaled by the residual
+            variance = max(found.sharp_depth.cost / max(found.inliers - 6, 1), _LEAST_VARIANCE)
+        return pose_uncertainty(found, self._camera, variance)
+
+    def measured(self, uncertainty: PoseUncertainty, clocks: Clocks) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of a pose from its own frame alone."""
+        return uncertainty.covariance(self._bias.beta2, clocks.lag_sigma_s, clocks.twist)
+
+    def in_doubt(self, uncertainty: PoseUncertainty, clocks: Clocks) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of a pose and of the one before, together."""
+        before = np.zeros((6, 6)) if self.limit is None else self.limit.covariance
+        return before + self.measured(uncertainty, clocks)
+
+    def advance(
+        self,
+        T_world_cam: NDArray[np.float64],
+        stamp_ns: int,
+        uncertainty: PoseUncertainty,
+        clocks: Clocks,
+    ) -> NDArray[np.float64]:
+        """Take the pose (4, 4) of a tracked frame; return its covariance (6, 6)."""
+        self._bias = self._bias.observed(uncertainty.bias_evidence)
+        measured = self.measured(uncertainty, clocks)
+        if self.limit is None:
+            self.limit = MotionLimit.begun(measured, T_world_cam, stamp_ns)
+        else:
+            self.limit = self.limit.updated(measured, T_world_cam, stamp_ns)
+        late = 1e-3 * self.config.sensor.stamp_ms * clocks.twist
+        return self.limit.covariance + np.outer(late, late)
+
+    def is_degenerate(self, spectrum: Observability, covariance: NDArray[np.float64]) -> bool:
+        """Return whether a direction is not held, by the frame or by what is claimed of it."""
+        limits = self.config.registration
+        unheld = spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
+        return unheld or self.exceeds(covariance)
+
+    def exceeds(self, covariance: NDArray[np.float64]) -> bool:
+        """Return whether the largest claimed sigma (6, 6) is that of a degenerate pose."""
+        limits = self.config.registration
+        claimed_m, claimed_rad = (
+            math.sqrt(np.linalg.eigvalsh(block)[-1])
+            for block in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        return claimed_m > limits.degenerate_m or claimed_rad > limits.degenerate_rad

@@ -23,10 +23,6 @@ from .. import se3
 from .certainty import Steps, bounds
 
 _IMPOSSIBLE_CHI2 = 27.86  # of 6 degrees of freedom: one right loop of 10 000 is beyond
-# Of the way: odometry slides where a frame takes a corridor for another part of it, and does not
-# know. A ring of 63 m came out 45 cm and 2.4 degrees off, at a claim of 5 cm.
-_DRIFT, _DRIFT_RAD_PER_M = 0.01, 0.001
-_SLID_CHI2 = 6.0  # the mean of 6 degrees of freedom: a period of 2.22 m is beyond up to 90 m
 _CONTRADICTION_CHI2 = 22.46  # one right pair of 1000 is beyond
 # A cycle that is known to less than this tells one place from the next one like it; otherwise it
 # closes for wrong loops as well. Tiles, shelves and doors repeat themselves after more than twice
@@ -127,12 +123,6 @@ class Surroundings:
         covariance = loop.covariance + _seen_from(T_world_b, self.from_a[loop.b])
         return Misfit(se3.log(gap), covariance)
 
-    def slid(self, loop: Loop) -> Misfit:
-        """Return the same where odometry may have slid without a frame that claims it."""
-        prior = self.prior(loop)
-        unclaimed = _unclaimed(self.poses[loop.a : loop.b + 1])
-        return Misfit(prior.xi, prior.covariance + unclaimed)
-
     def pair(self, loop: Loop, other: Loop) -> Misfit:
         """Return how `loop`, whose surroundings these are, agrees with another one.
 
@@ -173,10 +163,6 @@ class Consistency:
         """Add a loop between keyframes at `poses` (K, 4, 4) with the `steps` between them."""
         around = Surroundings.of(loop, poses, steps)
         prior = around.prior(loop)
-        if prior.chi2 > _IMPOSSIBLE_CHI2:
-            slid = around.slid(loop)
-            if slid.chi2 <= _SLID_CHI2:
-                prior = slid
         if prior.chi2 > _IMPOSSIBLE_CHI2:
             self._refuted = [*self._refuted[1 - _REMEMBERED :], (loop, prior)]
             return
@@ -281,12 +267,6 @@ def _largest_sigma(covariance: NDArray[np.float64]) -> float:
 def _are_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     xi = se3.log(se3.inverse(one) @ other)
     return bool(np.linalg.norm(xi[:3]) >= _VIEW_M or np.linalg.norm(xi[3:]) >= _VIEW_RAD)
-
-
-def _unclaimed(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the covariance (6, 6) of a drift that no frame claims, along a way (K, 4, 4)."""
-    way_m = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
-    return np.diag(np.square(way_m * np.repeat([_DRIFT, _DRIFT_RAD_PER_M], 3)))
 
 
 def _moved(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -142,7 +142,7 @@ def test_the_same_shift_on_the_other_side_makes_a_story_doubtful() -> None:
     """Impossible loops one period farther: possible ones may be a period too far themselves."""
     walk = round_block(LAP + 22, 0, SIZE_M, UNSURE)
     views = list(range(LAP + 1, LAP + 8))
-    possible, impossible = shifted(walk, views, 0.7), shifted(walk, views, 1.4)
+    possible, impossible = shifted(walk, views, 0.3), shifted(walk, views, 0.6)
     assert same(believed(walk, possible), possible)
     assert believed(walk, [*impossible, *possible]) == []
 
@@ -165,24 +165,3 @@ def test_the_gap_of_a_pair_is_zero_without_noise() -> None:
     around = Surroundings.of(loops[0], T, steps(T, walk.odometry))
     np.testing.assert_allclose(around.pair(*loops).xi, 0.0, atol=1e-9)
     np.testing.assert_allclose(around.prior(loops[0]).xi, 0.0, atol=1e-9)
-
-
-def test_odometry_that_slid_without_claiming_it_is_corrected_by_many_views() -> None:
-    """By 30 cm, at a claim of 6 cm: impossible, but less than a hundredth of the way."""
-    walk = round_block(LAP + 30, 0, SIZE_M, SURE)
-    slide = se3.exp(np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]))
-    half = LAP // 2
-    tracked = walk.tracked.copy()
-    tracked[half:] = tracked[half - 1] @ slide @ se3.inverse(tracked[half - 1]) @ tracked[half:]
-    loops = right(walk, range(LAP + 1, LAP + 28, 2))
-    around = Surroundings.of(loops[0], tracked, steps(walk.tracked, walk.odometry))
-    assert around.prior(loops[0]).chi2 > 30.0 > 6.0 > around.slid(loops[0]).chi2
-    consistency = Consistency()
-    for loop in loops:
-        consistency.add(loop, tracked, steps(walk.tracked, walk.odometry))
-    found = consistency.decide(tracked)
-    assert len(found) > 10
-    few = Consistency()
-    for loop in loops[:3]:
-        few.add(loop, tracked, steps(walk.tracked, walk.odometry))
-    assert few.decide(tracked) == []

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Correction
+from dcgs_ros.core.tracking.claims import Clocks, PoseClaims
 from dcgs_ros.core.tracking.gaussian_map import GaussianMap
+from dcgs_ros.core.tracking.relocalization import Recognition
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.core.tracking.visited import UNKNOWN, Visited, origin
@@ -62,12 +65,15 @@ def assert_same(T: NDArray[np.float64], other: NDArray[np.float64]) -> None:
 
 
 def test_a_map_that_moves_as_a_whole_changes_nothing_else() -> None:
-    frames, still, moved = frames_of(ROOM), tracker_for(), tracker_for()
+    frames, biased = frames_of(ROOM), {'sensor.depth_bias': 0.01}
+    still, moved = tracker_for(**biased), tracker_for(**biased)
     for frame in frames[:14]:
         expected, found = still.track(frame), moved.track(frame)
     assert moved.keyframes >= 3
     moved.correct(correction(moved, np.tile(G, (moved.keyframes, 1, 1))))
     assert_same(moved.T_world_cam, G @ still.T_world_cam)
+    limit = cast(Any, moved)._claims.limit  # what it leads to shows where nothing is measured
+    np.testing.assert_allclose(limit.T_world_cam, moved.T_world_cam, atol=1e-9)
     for frame in frames[14:]:
         expected, found = still.track(frame), moved.track(frame)
         assert found.state is expected.state and found.keyframe == expected.keyframe
@@ -75,9 +81,83 @@ def test_a_map_that_moves_as_a_whole_changes_nothing_else() -> None:
         assert found.landmarks == pytest.approx(expected.landmarks, abs=6)
         assert found.reference is not None and found.reference.revision == 1
         assert_same(found.reference.T_uncorrected_world @ found.T_world_cam, expected.T_world_cam)
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(found.covariance)), np.sqrt(np.diag(expected.covariance)), rtol=0.02
+        )
         for keyframe, other in zip(found.keyframes, expected.keyframes, strict=True):
             assert keyframe.odometry is not None and other.odometry is not None
             assert_same(keyframe.odometry.T_host_cam[0], other.odometry.T_host_cam[0])
+
+    assert still.depth_bias.any()
+    np.testing.assert_allclose(moved.depth_bias, still.depth_bias, atol=2e-4)
+
+
+def test_a_correction_alone_makes_no_keyframe() -> None:
+    """The next one waits until the camera has moved, from where the last one is now."""
+    usual = {'keyframes.translation_m': 0.3, 'keyframes.rotation_rad': 0.5}
+    usual |= {'keyframes.overlap': 0.3, 'keyframes.landmarks': 0.1}
+    still, moved = tracker_for(**usual), tracker_for(**usual)
+    frames = frames_of(ROOM)
+    for frame in frames[:4]:
+        still.track(frame)
+        moved.track(frame)
+    moved.correct(correction(moved, np.tile(G, (moved.keyframes, 1, 1))))
+    expected, found = (
+        [tracker.track(frame).keyframe for frame in frames[4:9]] for tracker in (still, moved)
+    )
+    assert found == expected and not any(found)
+
+
+class MeasuresNothing:
+    """The uncertainty of a frame that tells nothing of its pose."""
+
+    bias_evidence = (0.0, 1.0)
+
+    def covariance(self, *_: object) -> NDArray[np.float64]:
+        return 1e4 * np.eye(6)
+
+
+def test_what_the_motion_so_far_leaves_open_does_not_depend_on_the_world() -> None:
+    """Where a frame measures nothing, the covariance is that of the motion since the last one."""
+    T, later = se3.exp(np.array([0.1, 0.2, 0.3, 0.1, 0.0, 0.2])), SHIFT
+    found = []
+    for motion in (np.eye(4), G):
+        claims = PoseClaims(source_of(ROOM).camera, Config())
+        claims.begin(T, 0)
+        claims.move(motion)
+        nothing: Any = MeasuresNothing()
+        clocks = Clocks(0.0, np.zeros(6))
+        found.append(claims.advance(motion @ T @ later, 33_000_000, nothing, clocks))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-12)
+
+
+class KnowsPlaces:
+    """Knows the looks of every place, or of none, and recognises none of them."""
+
+    def __init__(self, all_of_them: bool) -> None:
+        self._all = all_of_them
+        self.asked = 0
+
+    def knows(self, keyframe: int) -> bool:
+        return self._all
+
+    def recognise(self, frame: RgbdFrame) -> list[Recognition]:
+        self.asked += 1
+        return []
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_depth_alone_finds_no_place_that_is_known_by_its_looks(known: bool) -> None:
+    frames, other = frames_of(ROOM), tracker_for()
+    visited = [other.track(frame).T_world_cam for frame in frames[:12]]
+    visited.append(visited[0] @ se3.exp(np.array([1.0, 0.5, 0.0, 0.0, 2.0, 0.0])))
+    tracker = tracker_for()
+    tracker.resume(other.gaussians, visited, range(len(visited)))
+    tracker.recogniser = places = KnowsPlaces(known)
+    tracker.interrupt()
+    states = [tracker.track(frame).state for frame in frames[12:20]]
+    assert (TrackingState.RELOCALISED in states) is not known
+    assert places.asked > 0 or not known
 
 
 def test_what_a_frame_is_relative_to_its_keyframe_survives_corrections() -> None:

@@ -18,6 +18,7 @@ from .registration import Registration
 from .uncertainty import PoseUncertainty, pose_uncertainty
 
 _LEAST_VARIANCE = 1e-10  # of shared covariances' residuals: perfect depth leaves none
+_HELD_AGAIN = 2.0 / 3.0  # of the limits of a degenerate pose
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,16 @@ class PoseClaims:
         self._camera, self.config = camera, config
         self.limit: MotionLimit | None = None  # of the last frame that was tracked
         self._bias = BiasVariance()
+        self._degenerate = False  # the last frame
 
     def begin(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> None:
         """Begin at a certain pose (4, 4)."""
+        self.forget()
         self.limit = MotionLimit.begun(np.zeros((6, 6)), T_world_cam, stamp_ns)
+
+    def forget(self) -> None:
+        """Forget the last frame, where the next one is placed without it."""
+        self.limit, self._degenerate = None, False
 
     def move(self, motion: NDArray[np.float64]) -> None:
         """Go on where a correction moves the camera by `motion` (4, 4) in the world."""
@@ -94,17 +101,36 @@ class PoseClaims:
         late = 1e-3 * self.config.sensor.stamp_ms * clocks.twist
         return self.limit.covariance + np.outer(late, late)
 
-    def is_degenerate(self, spectrum: Observability, covariance: NDArray[np.float64]) -> bool:
-        """Return whether a direction is not held, by the frame or by what is claimed of it."""
-        limits = self.config.registration
-        unheld = spectrum.is_degenerate(limits.degenerate_m, limits.degenerate_rad)
-        return unheld or self.exceeds(covariance)
+    def stays_degenerate(self, spectrum: Observability) -> bool:
+        """Return whether the frame that was last taken is degenerate, given the frame before.
 
-    def exceeds(self, covariance: NDArray[np.float64]) -> bool:
+        What is anchored from a degenerate pose is as wrong as the pose, but claims to be certain,
+        and the next frames are placed against it. So a direction is held again only where it is
+        held clearly better than the limit; else the state would flicker about it.
+        """
+        assert self.limit is not None
+        share = _HELD_AGAIN if self._degenerate else 1.0
+        self._degenerate = self.is_degenerate(spectrum, self.limit.covariance, share)
+        return self._degenerate
+
+    def is_degenerate(
+        self, spectrum: Observability, covariance: NDArray[np.float64], share: float = 1.0
+    ) -> bool:
+        """Return whether a direction is not held, by the frame or by what is claimed of it.
+
+        `share` is that of the limits which counts.
+        """
+        limits = self.config.registration
+        unheld = spectrum.is_degenerate(share * limits.degenerate_m, share * limits.degenerate_rad)
+        return unheld or self.exceeds(covariance, share)
+
+    def exceeds(self, covariance: NDArray[np.float64], share: float = 1.0) -> bool:
         """Return whether the largest claimed sigma (6, 6) is that of a degenerate pose."""
         limits = self.config.registration
         claimed_m, claimed_rad = (
             math.sqrt(np.linalg.eigvalsh(block)[-1])
             for block in (covariance[:3, :3], covariance[3:, 3:])
         )
-        return claimed_m > limits.degenerate_m or claimed_rad > limits.degenerate_rad
+        return (
+            claimed_m > share * limits.degenerate_m or claimed_rad > share * limits.degenerate_rad
+        )

@@ -453,7 +453,7 @@ class Tracker:
             self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
             last=registered, image=registered, overlap=best.overlap,
         )  # fmt: skip
-        claims.limit = None
+        claims.forget()
         self._anchor_landmarks(registered)
         self._policy.took(T, frame.stamp_ns, len(self.landmarks))
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
@@ -589,11 +589,10 @@ class Tracker:
     ) -> TrackResult:
         registered, result = found.registered, found.registration
         spectrum = observability(result.equations.H, uncertainty.information)
-        assert self._claims.limit is not None
         state = TrackingState.OK
         if self._unconfirmed:
             state = TrackingState.RELOCALISED
-        elif self._claims.is_degenerate(spectrum, self._claims.limit.covariance):
+        elif self._claims.stays_degenerate(spectrum):
             state = TrackingState.DEGENERATE
         return TrackResult(
             registered.frame.stamp_ns, registered.T_world_cam, registered.T_cam_cam_at_depth,

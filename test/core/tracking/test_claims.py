@@ -11,9 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.tracking.claims import PoseClaims
+from dcgs_ros.core.tracking.observability import observability
+from dcgs_ros.core.tracking.propagation import MotionLimit
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
@@ -47,6 +51,25 @@ def motion_errors(
         Ad = se3.adjoint(se3.inverse(moved))
         claimed.append(other.covariance + Ad @ one.covariance @ Ad.T)
     return np.array(errors), np.array(claimed)
+
+
+@pytest.mark.parametrize('by', ['the claim', 'the frame'])
+def test_what_was_not_held_is_held_again_only_well_below_the_limit(by: str) -> None:
+    """In the frame's own information or in what is claimed; a loss forgets it."""
+    claims = PoseClaims(PinholeCamera(320, 240, 262.0, 262.0, 159.5, 119.5), Config())
+    limit_m = Config().registration.degenerate_m
+
+    def degenerate(share: float) -> bool:
+        sigma_m = share * limit_m
+        claimed_m, held_m = (sigma_m, 1e-3) if by == 'the claim' else (1e-3, sigma_m)
+        claims.limit = MotionLimit.begun(claimed_m**2 * np.eye(6), np.eye(4), 0)
+        information = held_m**-2 * np.eye(6)
+        return claims.stays_degenerate(observability(information, information))
+
+    shares = (0.9, 1.1, 0.9, 0.7, 0.6, 0.9, 1.1)
+    assert [degenerate(s) for s in shares] == [False, True, True, True, False, False, True]
+    claims.forget()
+    assert not degenerate(0.9)
 
 
 @pytest.mark.slow

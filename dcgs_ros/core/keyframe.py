@@ -39,9 +39,9 @@ class Odometry:
 
     keyframe: int  # its index, from 0, which never changes
     submap: int  # in which it is, from 0
-    hosts: NDArray[np.int32]  # (H,) earlier keyframes, the most matched first; none begin a map
+    hosts: NDArray[np.int32]  # (H,) earlier keyframes, ascending; none begin a map
     T_host_cam: NDArray[np.float64]  # (H, 4, 4)
-    shares: NDArray[np.float64]  # (H,) of the matches
+    information: NDArray[np.float64]  # (H, 6, 6) of each host on xi; their sum is C^-1
     covariance: NDArray[np.float64]  # (6, 6) of xi in T_host_cam exp(xi), m and rad, of all hosts
 
 

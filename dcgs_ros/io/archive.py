@@ -29,7 +29,7 @@ from .zip_members import MEMBER_LIMIT, MEMBERS_LIMIT, ArchiveError, check_name, 
 
 # Of the archive and of what the package keeps in one. 1: without a digest; of the tracker's map
 # only viewpoints and Sigma_t, and no sessions.
-VERSION = 2
+VERSION = 3
 
 _FORMAT = 'dcgs_ros archive'
 _METADATA = 'metadata.json'

@@ -48,7 +48,7 @@ def keyframes_of(images: Iterable[EncodedImages], tracker: SavedTracker) -> Iter
         if odometry is None:
             apart = np.empty((0, 4, 4))
             no_hosts = np.empty(0, np.int32)
-            odometry = Odometry(k, 0, no_hosts, apart, np.empty(0), np.zeros((6, 6)))
+            odometry = Odometry(k, 0, no_hosts, apart, np.empty((0, 6, 6)), np.zeros((6, 6)))
         T = tracker.poses[k]
         yield Keyframe(frame, T, np.eye(4), np.empty(0, np.int64), none, none, odometry)
 

@@ -39,7 +39,7 @@ _LAYOUT: dict[str, tuple[DTypeLike, tuple[str | int, ...]]] = {
     'covariances': (np.float64, ('K', 6, 6)),
     'edges': (np.int32, ('E', 2)),
     'edge_poses': (np.float64, ('E', 4, 4)),
-    'edge_shares': (np.float64, ('E',)),
+    'edge_information': (np.float64, ('E', 6, 6)),
     'usual': (np.float64, (4,)),
     'depth_bias': (np.float64, (TERMS,)),
 }
@@ -66,13 +66,13 @@ class SavedTracker:
     covariances: NDArray[np.float64]  # (K, 6, 6) of `Odometry`; zeros where it is not known
     edges: NDArray[np.int32]  # (E, 2) keyframe and a host that it was tracked against
     edge_poses: NDArray[np.float64]  # (E, 4, 4) T_host_cam
-    edge_shares: NDArray[np.float64]  # (E,) of the keyframe's matches
+    edge_information: NDArray[np.float64]  # (E, 6, 6) of `Odometry`
     usual: NDArray[np.float64]  # (4,) overlap, chi2, agreement and frames of `Usual`
     depth_bias: NDArray[np.float64]  # (5,) that the camera's depth was corrected by
 
     def __post_init__(self) -> None:
         """Check that the parts fit each other; raises `MapFileError` naming one that does not."""
-        sizes = {'T': self.ids.size, 'K': self.stamps_ns.size, 'E': self.edge_shares.size}
+        sizes = {'T': self.ids.size, 'K': self.stamps_ns.size, 'E': len(self.edges)}
         for name, (dtype, shape) in _LAYOUT.items():
             sized = tuple(n if isinstance(n, int) else sizes[n] for n in shape)
             check(f'{_PREFIX}{name}', getattr(self, name), dtype, sized)
@@ -106,7 +106,7 @@ class SavedTracker:
             np.array(visited.submaps, np.int32), covariances,
             np.array(hosts, np.int32).reshape(-1, 2),
             np.concatenate([np.empty((0, 4, 4)), *(o.T_host_cam for o in odometries)]),
-            np.concatenate([np.empty(0), *(o.shares for o in odometries)]),
+            np.concatenate([np.empty((0, 6, 6)), *(o.information for o in odometries)]),
             np.array(astuple(tracker.usual), np.float64), tracker.depth_bias.copy(),
         )  # fmt: skip
 
@@ -135,7 +135,7 @@ class SavedTracker:
             return None
         return Odometry(
             keyframe, int(self.submaps[keyframe]), self.edges[rows, 1].copy(),
-            self.edge_poses[rows], self.edge_shares[rows], self.covariances[keyframe],
+            self.edge_poses[rows], self.edge_information[rows], self.covariances[keyframe],
         )  # fmt: skip
 
     def gaussians(self, config: Config) -> GaussianMap:

@@ -22,11 +22,12 @@ from ..core.tracking.tracker import Tracker
 from .archive import Archive, ArchiveError, read_archive, write_archive
 from .known_places import EncodedImages
 from .map_parts import MapFileError, part, read_camera
-from .map_version_1 import upgraded
+from .older_maps import with_information, with_tracker
 from .saved_tracker import SavedTracker
 from .sessions import SESSIONS_NAME, SavedSession, extended, read_sessions, write_sessions
 
 # Of a map without a mapper's Gaussians and views.
+_REMOVED = {'landmarks.min_start'}  # settings that older files have
 _EMPTY: dict[str, NDArray[Any]] = {
     'splats': np.empty((14, 0), np.float32),
     'ids': np.empty(0, np.int64),
@@ -123,12 +124,12 @@ def read_settings(archive: Archive) -> Config:
     config = part(archive.metadata, 'config')
     if not isinstance(config, dict):
         raise MapFileError(f'config is a {type(config).__name__}, not settings')
-    return override(Config(), config)
+    return override(Config(), {key: config[key] for key in config if key not in _REMOVED})
 
 
 def up_to_date(archive: Archive) -> Archive:
     """Return an archive of any version as one of the newest; raises a `DcgsError`."""
-    if archive.version > 1:
-        return archive
-    camera = read_camera(part(archive.metadata, 'camera'))
-    return upgraded(archive, camera, read_settings(archive).sensor)
+    if archive.version == 1:
+        camera = read_camera(part(archive.metadata, 'camera'))
+        return with_tracker(archive, camera, read_settings(archive).sensor)
+    return with_information(archive) if archive.version == 2 else archive

@@ -84,7 +84,7 @@ def trackers(draw: st.DrawFn) -> SavedTracker:
         covariances=numbers(draw, np.float64, (k, 6, 6)),
         edges=draw(arrays(np.int32, (e, 2), elements=of_keyframe)),
         edge_poses=numbers(draw, np.float64, (e, 4, 4)),
-        edge_shares=numbers(draw, np.float64, e),
+        edge_information=numbers(draw, np.float64, (e, 6, 6)),
         usual=numbers(draw, np.float64, 4),
         depth_bias=numbers(draw, np.float64, 5),
     )
@@ -180,7 +180,7 @@ def tracked(count: int, frames: int) -> SavedTracker:
         poses=np.tile(np.eye(4), (frames, 1, 1)), submaps=np.zeros(frames, np.int32),
         covariances=np.tile(np.eye(6), (frames, 1, 1)),
         edges=np.array([[frames - 1, 0]] * 2, np.int32), edge_poses=rng.normal(size=(2, 4, 4)),
-        edge_shares=np.array([0.7, 0.3]), usual=np.array([0.8, 1.0, 0.9, 7.0]),
+        edge_information=rng.normal(size=(2, 6, 6)), usual=np.array([0.8, 1.0, 0.9, 7.0]),
         depth_bias=np.zeros(5),
     )  # fmt: skip
 
@@ -313,7 +313,7 @@ def test_a_map_of_version_1_is_read_and_its_tracker_made_up() -> None:
         np.testing.assert_array_equal(getattr(saved, name), getattr(expected, name))
     np.testing.assert_array_equal(saved.splats.planes, expected.splats.planes)
     assert (saved.camera, saved.config) == (expected.camera, expected.config)
-    assert (saved.version, expected.version) == (1, 2)
+    assert (saved.version, expected.version) == (1, 3)
     tracker = saved.tracker
     np.testing.assert_array_equal(tracker.ids, saved.ids[saved.measured])
     np.testing.assert_array_equal(tracker.hosts, saved.hosts[saved.measured])
@@ -322,6 +322,14 @@ def test_a_map_of_version_1_is_read_and_its_tracker_made_up() -> None:
     assert [k.keyframe for k in saved.keyframes] == [0, 1]
     (only,) = saved.sessions
     assert (only.camera, only.keyframes, only.views) == (saved.camera, 2, 2)
+
+
+def test_a_map_of_version_2_is_read_and_its_edges_hold_all_directions() -> None:
+    saved, expected = read_map(VERSION_1.with_name('map_version_2.dcgs')), example()
+    assert (saved.version, saved.camera, saved.config) == (2, expected.camera, expected.config)
+    np.testing.assert_array_equal(saved.tracker.edges, expected.tracker.edges)
+    shares = np.array([0.7, 0.3])[:, None, None]
+    np.testing.assert_allclose(saved.tracker.edge_information, shares * np.eye(6), atol=1e-12)
 
 
 def changed(name: str, index: Any, value: float) -> dict[str, NDArray[Any]]:

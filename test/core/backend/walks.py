@@ -92,7 +92,12 @@ def round_block(
 def first(k: int, submap: int = 0) -> Odometry:
     """Return that of a keyframe that begins a map."""
     return Odometry(
-        k, submap, np.empty(0, np.int32), np.empty((0, 4, 4)), np.empty(0), np.zeros((6, 6))
+        k,
+        submap,
+        np.empty(0, np.int32),
+        np.empty((0, 4, 4)),
+        np.empty((0, 6, 6)),
+        np.zeros((6, 6)),
     )
 
 
@@ -110,12 +115,13 @@ def relative(
     """
     hosts, shares = _hosts(k, begin)
     T_host_cam = np.array([se3.inverse(before[h]) @ T for h in hosts])
-    return Odometry(k, submap, hosts.astype('i4'), T_host_cam, shares, covariance)
+    information = shares[:, None, None] * np.linalg.inv(covariance)
+    return Odometry(k, submap, hosts.astype('i4'), T_host_cam, information, covariance)
 
 
 def _hosts(k: int, begin: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    hosts = np.arange(k - 1, max(k - 1 - _HOSTS, begin - 1), -1)
-    shares = np.linspace(2.0, 1.0, len(hosts))
+    hosts = np.arange(max(k - _HOSTS, begin), k)
+    shares = np.linspace(1.0, 2.0, len(hosts))
     return hosts, shares / shares.sum()
 
 

@@ -19,6 +19,7 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Correction
 from dcgs_ros.core.tracking.claims import Clocks, PoseClaims
 from dcgs_ros.core.tracking.gaussian_map import GaussianMap
+from dcgs_ros.core.tracking.hosting import Hosts
 from dcgs_ros.core.tracking.relocalization import Recognition
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.tracking.tracker import Tracker
@@ -231,19 +232,20 @@ def visited_of(submaps: list[int]) -> Visited:
     for k, submap in enumerate(submaps):
         T = se3.exp(np.array([0.1 * k, 0, 0, 0, 0, 0]))
         T[:3, 3] += origin(submap)
-        odometry = visited.odometry(T, submap, np.eye(6), np.empty(0, np.int32))
+        odometry = visited.odometry(T, submap, np.eye(6), Hosts.none())
         visited.add(k, T, odometry, 1e-4 * np.eye(6))
     return visited
 
 
-def test_a_keyframe_knows_what_it_matched_most() -> None:
+def test_a_keyframe_knows_where_it_is_relative_to_its_hosts() -> None:
     visited = visited_of([0, 0, 0])
     T = se3.exp(np.array([0.4, 0.1, 0, 0, 0.2, 0]))
-    found = visited.odometry(T, 0, np.eye(6), np.array([2] * 30 + [0] * 10, np.int32))
-    assert found.keyframe == 3 and found.hosts.tolist() == [2, 0]
-    np.testing.assert_allclose(found.shares, [0.75, 0.25])
-    np.testing.assert_allclose(visited.poses[2] @ found.T_host_cam[0], T, atol=1e-12)
-    alone = visited.odometry(T, 0, np.eye(6), np.empty(0, np.int32))
+    hosts = Hosts(np.array([0, 2], np.int32), np.array([[[0.75]], [[0.25]]]) * np.eye(6))
+    found = visited.odometry(T, 0, np.eye(6), hosts)
+    assert found.keyframe == 3 and found.hosts.tolist() == [0, 2]
+    assert found.information is hosts.information
+    np.testing.assert_allclose(visited.poses[2] @ found.T_host_cam[1], T, atol=1e-12)
+    alone = visited.odometry(T, 0, np.eye(6), Hosts.none())
     assert alone.T_host_cam.shape == (0, 4, 4) and not len(alone.hosts)
 
 

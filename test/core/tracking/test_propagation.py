@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.tracking.hosting import Hosts
 from dcgs_ros.core.tracking.propagation import BiasVariance, KeyframeChain, MotionLimit, surer
 
 FRAME_NS = 33_333_333
@@ -107,7 +108,7 @@ def test_the_chain_adds_up_from_keyframe_to_keyframe() -> None:
     chain.reset(1)
     for k, move in enumerate(moves):
         T = T @ move
-        claimed = chain.in_world(T, P, np.full(10, k, np.int32))
+        claimed = chain.in_world(T, Hosts.only(k, P))
         chain.add(T, claimed)
     noise = np.random.default_rng(7).multivariate_normal(np.zeros(6), P, (3000, steps))
     errors = []
@@ -125,11 +126,13 @@ def test_back_at_the_first_keyframe_the_world_is_as_certain_as_the_map() -> None
     chain.reset(1)
     for k in range(5):
         T = se3.exp(np.array([0.1 * (k + 1), 0, 0, 0, 0, 0]))
-        chain.add(T, chain.in_world(T, P, np.full(10, k, np.int32)))
-    far = chain.in_world(np.eye(4), P, np.full(10, 5, np.int32))
-    half = chain.in_world(np.eye(4), P, np.repeat(np.array([0, 5], np.int32), 5))
-    back = chain.in_world(np.eye(4), P, np.zeros(10, np.int32))
-    np.testing.assert_allclose(back, P)
+        chain.add(T, chain.in_world(T, Hosts.only(k, P)))
+    far = chain.in_world(np.eye(4), Hosts.only(5, P))
+    half = chain.in_world(
+        np.eye(4), Hosts(np.array([0, 5], np.int32), np.tile(0.5 * np.linalg.inv(P), (2, 1, 1)))
+    )
+    back = chain.in_world(np.eye(4), Hosts.only(0, P))
+    np.testing.assert_allclose(back, P, rtol=1e-5)
     assert np.trace(back) < np.trace(half) < np.trace(far)
     assert far[0, 0] == pytest.approx(6e-6)
 

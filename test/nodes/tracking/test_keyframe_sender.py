@@ -242,8 +242,8 @@ def test_what_the_mapper_has_is_thinned_too_and_comes_back_if_it_restarts() -> N
 
 def in_submap(packet: KeyframePacket, submap: int) -> KeyframePacket:
     odometry = Odometry(
-        packet.stamp_ns, submap, np.empty(0, np.int32), np.empty((0, 4, 4)), np.empty(0),
-        np.zeros((6, 6)),
+        packet.stamp_ns, submap, np.empty(0, np.int32), np.empty((0, 4, 4)),
+        np.empty((0, 6, 6)), np.zeros((6, 6)),
     )  # fmt: skip
     return replace(packet, posed=replace(keyframe_of(packet), odometry=odometry))
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Map files of version 1: what they lack is made up from what they have."""
+"""Map files of older versions: what they lack is made up from what they have."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from .sessions import SESSIONS_NAME, SavedSession, write_sessions
 _PLANES = 14  # x y z, three log-scales, four of the rotation, opacity, three of the colour
 
 
-def upgraded(archive: Archive, camera: PinholeCamera, sensor: SensorNoise) -> Archive:
-    """Return an archive of version 1 as one of version 2.
+def with_tracker(archive: Archive, camera: PinholeCamera, sensor: SensorNoise) -> Archive:
+    """Return an archive of version 1 as one of the newest.
 
     Every view counts as a keyframe. Means are as the mapper moved them, and normals are those of
     Sigma_r. Raises `MapFileError` for parts that are missing or do not fit.
@@ -45,8 +45,27 @@ def upgraded(archive: Archive, camera: PinholeCamera, sensor: SensorNoise) -> Ar
     )
 
 
+def with_information(archive: Archive) -> Archive:
+    """Return an archive of version 2 as one of the newest.
+
+    It has the shares of a keyframe's matches with each host, which held all directions alike.
+    Raises `MapFileError` for parts that are missing or do not fit.
+    """
+    arrays = dict(archive.arrays)
+    shares, edges = arrays.pop('tracker_edge_shares', np.empty(0)), part(arrays, 'tracker_edges')
+    covariances = part(arrays, 'tracker_covariances')
+    check('tracker_edge_shares', shares, np.float64, (len(edges),))
+    check('tracker_edges', edges, np.int32, (len(edges), 2))
+    check('tracker_covariances', covariances, np.float64, (len(covariances), 6, 6))
+    check_keyframes('tracker_edges', edges.ravel(), len(covariances), 'keyframes')
+    with np.errstate(invalid='ignore', over='ignore'):
+        whole = np.linalg.pinv(covariances, hermitian=True)[edges[:, 0]]
+        arrays['tracker_edge_information'] = shares[:, None, None] * whole
+    return replace(archive, arrays=arrays)
+
+
 def _as_mapped(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return what version 2 has more of the mapper's Gaussians and views."""
+    """Return what newer versions have more of the mapper's Gaussians and views."""
     planes, hosts = part(arrays, 'splats'), part(arrays, 'hosts')
     tracked, poses = part(arrays, 'tracked'), part(arrays, 'poses')
     n, views = planes.size // _PLANES, part(arrays, 'stamps_ns').size
@@ -93,7 +112,7 @@ def _as_tracked(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         'observers': hosts[rows], 'stamps_ns': arrays['stamps_ns'], 'poses': tracked,
         'submaps': np.zeros(views, np.int32), 'covariances': np.zeros((views, 6, 6)),
         'edges': np.empty((0, 2), np.int32), 'edge_poses': np.empty((0, 4, 4)),
-        'edge_shares': np.empty(0), 'usual': np.array(astuple(Usual()), np.float64),
+        'edge_information': np.empty((0, 6, 6)), 'usual': np.array(astuple(Usual()), np.float64),
         'depth_bias': np.zeros(TERMS),
     }  # fmt: skip
 

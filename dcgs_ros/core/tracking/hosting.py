@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which keyframes a pose is placed relative to, and what each of them holds of it.
+
+The walls of a corridor, whoever saw them first, do not hold a camera along it: that do a few
+landmarks, of the last keyframe mostly. So the hosts share a pose direction by direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.jit import kernel
+from .factors import information
+from .registration import Registration
+
+_MOST = 6  # hosts of a pose, those that hold most
+_FEIGNED_SIGMAS = 2.0  # as in `uncertainty`: of what independent normals may add up to
+_PRIOR = np.eye(6)  # 1 / m^2, 1 / rad^2: what nothing holds goes on from the last keyframe
+_FLOOR = 1e-12 * np.eye(6)  # 1 um, 1 urad: keeps a covariance invertible
+_VAGUE = 1e-2 * np.eye(6)  # 10 m, 10 rad: along what a few hosts do not hold
+
+
+@dataclass(frozen=True)
+class Hosts:
+    """Keyframes that hold a pose, in the order of their numbers."""
+
+    keyframes: NDArray[np.int32]  # (H,)
+    information: NDArray[np.float64]  # (H, 6, 6) of each on the pose; their sum is C^-1
+
+    @classmethod
+    def none(cls) -> Hosts:
+        """Return those of a pose that begins a map."""
+        return cls(np.empty(0, np.int32), np.empty((0, 6, 6)))
+
+    @classmethod
+    def only(cls, keyframe: int, covariance: NDArray[np.float64]) -> Hosts:
+        """Return one that holds all of a pose with this covariance (6, 6)."""
+        whole = np.asarray(np.linalg.inv(covariance + _FLOOR))
+        return cls(np.array([keyframe], np.int32), whole[None])
+
+    def inherited(self, theirs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what a pose's covariance (6, 6) is with the hosts' own (H, 6, 6).
+
+        All are of the camera's frame. Relative to the first n hosts the pose is as sure as they
+        make it, and they are as sure as the least sure of them, whatever their correlation is. Of
+        these bounds the smallest counts: back where the map began it is that of the oldest hosts.
+        """
+        if not len(self.keyframes):
+            return np.zeros((6, 6))
+        own = np.linalg.inv(np.cumsum(self.information, axis=0) + _VAGUE)
+        sizes = np.trace(theirs, axis1=1, axis2=2)
+        worst = [int(np.argmax(sizes[: n + 1])) for n in range(len(sizes))]
+        bounds = theirs[worst] + own
+        return np.asarray(bounds[np.argmin(np.trace(bounds, axis1=1, axis2=2))])
+
+
+def hosts_of(
+    found: Registration,
+    rows: NDArray[np.float64],  # (N, 12) of `PoseUncertainty`
+    covariance: NDArray[np.float64],  # (6, 6) of the pose in the map
+    last: int,  # the keyframe before
+) -> Hosts:
+    """Return the keyframes that hold a registered pose, by what their Gaussians tell of it.
+
+    With P the axes in which both `covariance` C and the sum H of what the hosts tell, H_k, are
+    diagonal, P^T C^-1 P = I and P^T H P = D, host k has P^-T D^(-1/2) P^T H_k P D^(-1/2) P^-1 of
+    C^-1. A landmark of a frame between keyframes is taken as one of the last keyframe.
+    """
+    keyframes, held = _held(found, rows, last)
+    root = np.linalg.cholesky(covariance + _FLOOR)
+    scales, U = np.linalg.eigh(root.T @ held.sum(axis=0) @ root)
+    P = root @ U
+    half = P / np.sqrt(scales)
+    shares = half.T @ held @ half  # their sum is the identity
+    best = np.sort(np.argsort(-np.trace(shares, axis1=1, axis2=2), kind='stable')[:_MOST])
+    shares = shares[best]
+    whole = np.linalg.inv(np.linalg.cholesky(shares.sum(axis=0)))  # 1 where none was left out
+    back = whole.T @ np.linalg.inv(P)
+    return Hosts(keyframes[best], back.T @ shares @ back)
+
+
+def _held(
+    found: Registration, rows: NDArray[np.float64], last: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return keyframes (K,) and the information (K, 6, 6) that their Gaussians give on the pose.
+
+    That of depth is with crossed normals, and less what noise can feign, as in `uncertainty`.
+    """
+    of_depth, image = found.depth.targets.hosts, found.image
+    of_image = np.empty(0, np.int32) if image is None else image.targets.hosts
+    of_image = np.where(of_image < 0, last, of_image)
+    keyframes = np.unique(np.concatenate([of_depth[of_depth >= 0], of_image, [last]]))
+    held = np.zeros((len(keyframes), 6, 6))
+    slots = np.searchsorted(keyframes, of_depth)
+    _sum_crossed(rows, slots, held)
+    eigenvalues, U = np.linalg.eigh(_symmetric(held))
+    chance = np.zeros((len(keyframes), 6))
+    _sum_chance(rows, slots, U, chance)
+    certain = np.maximum(eigenvalues - _FEIGNED_SIGMAS * np.sqrt(chance), 0.0)
+    held = (U * certain[:, None]) @ U.transpose(0, 2, 1)
+    if image is not None:
+        slots, t = np.searchsorted(keyframes, of_image), image.targets
+        _sum_landmarks(
+            image.points, image.covariances, t.points, t.axes, t.perp, t.along,
+            found.T_world_cam, image.huber, image.weight, slots, held,
+        )  # fmt: skip
+    held[np.searchsorted(keyframes, last)] += _PRIOR
+    return keyframes.astype(np.int32), held
+
+
+def _symmetric(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
+
+
+@kernel
+def _sum_crossed(rows, slots, total):
+    """Add the J_n^T J_m of `rows` (N, 12) to `total` (K, 6, 6) of their `slots` (N,)."""
+    for i in range(rows.shape[0]):
+        block = total[slots[i]]
+        for a in range(6):
+            for b in range(6):
+                block[a, b] += rows[i, a] * rows[i, 6 + b]
+
+
+@kernel
+def _sum_chance(rows, slots, U, total):
+    """Add the squares of (J_n u_k) (J_m u_k) to `total` (K, 6); `U` (K, 6, 6) of each slot."""
+    for i in range(rows.shape[0]):
+        for k in range(6):
+            p = q = 0.0
+            for a in range(6):
+                p += rows[i, a] * U[slots[i], a, k]
+                q += rows[i, 6 + a] * U[slots[i], a, k]
+            total[slots[i], k] += (p * q) ** 2
+
+
+@kernel
+def _sum_landmarks(
+    points, covariances, targets, axes, perp, along, T, huber, weight, slots, total
+):
+    """Add J^T W J, J = [I, -[a]x], of landmarks to `total` (K, 6, 6) of their `slots` (N,).
+
+    The other arguments are those of `factors`.
+    """
+    J, M, e = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(3)
+    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        J[0, 4], J[0, 5], J[1, 3], J[1, 5], J[2, 3], J[2, 4] = z, -y, -z, x, y, -x
+        m = information(covariances[i], axes[i], perp[i], along[i], T)
+        M[0, 0], M[1, 1], M[2, 2] = m[0], m[3], m[5]
+        M[0, 1] = M[1, 0] = m[1]
+        M[0, 2] = M[2, 0] = m[2]
+        M[1, 2] = M[2, 1] = m[4]
+        for a in range(3):
+            e[a] = -points[i, a]
+            for b in range(3):
+                e[a] += T[b, a] * (targets[i, b] - T[b, 3])
+        square = e @ M @ e
+        robust = huber / np.sqrt(square) if square > huber * huber else 1.0
+        total[slots[i]] += weight * robust * (J.T @ M @ J)

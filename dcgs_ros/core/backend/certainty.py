@@ -86,15 +86,21 @@ def bounds(steps: Steps, known: Mapping[int, NDArray[np.float64]]) -> NDArray[np
 
 @kernel
 def _relax(positions, starts, others, shares, steps, own, covariances, sizes):
-    """Lower `covariances` (K, 6, 6) and their `sizes` (K,) until nothing changes."""
+    """Lower `covariances` (K, 6, 6) and their `sizes` (K,) until nothing changes.
+
+    Only what is next to a change is looked at again.
+    """
     count = len(sizes)
+    stale = np.ones(count, np.bool_)
     for sweep in range(2 * _SWEEPS):
         changed = False
         for n in range(count):
             k = n if sweep % 2 == 0 else count - 1 - n
-            if sizes[k] < 0.0:
+            if sizes[k] < 0.0 or not stale[k]:
                 continue
+            stale[k] = False
             first, last = starts[k], starts[k + 1]
+            better = False
             share = 0.0
             hosted = own[k].copy()
             for e in range(first, last):
@@ -105,9 +111,12 @@ def _relax(positions, starts, others, shares, steps, own, covariances, sizes):
                 share += shares[e]
                 if shares[e] > 0.0:
                     hosted += shares[e] * covariances[other]
-                changed |= _offer(k, positions, covariances[other] + steps[e], covariances, sizes)
+                better |= _offer(k, positions, covariances[other] + steps[e], covariances, sizes)
             if share > 0.999:  # of all hosts
-                changed |= _offer(k, positions, hosted, covariances, sizes)
+                better |= _offer(k, positions, hosted, covariances, sizes)
+            if better:
+                stale[others[first:last]] = True
+                changed = True
         if not changed and sweep > 0:
             break
 
@@ -125,10 +134,13 @@ def _offer(k, positions, bound, covariances, sizes):
 
 @kernel
 def _size(covariance, position):
-    """Return the variance of a position (3,), m^2, and of the rotation over a metre."""
-    x, y, z = position
-    A = np.zeros((6, 6))
-    A[0, 4], A[0, 5], A[1, 3], A[1, 5], A[2, 3], A[2, 4] = z, -y, -z, x, y, -x
-    for i in range(6):
-        A[i, i] = 1.0
-    return np.trace(A @ covariance @ A.T)
+    """Return the variance of a position (3,), m^2, and of the rotation over a metre.
+
+    It is the trace of A C A^T, where A is [I, -[position]x; 0, I].
+    """
+    C, (x, y, z) = covariance, position
+    spread = C[0, 0] + C[1, 1] + C[2, 2] + C[3, 3] + C[4, 4] + C[5, 5]
+    spread += z * z * (C[3, 3] + C[4, 4]) + y * y * (C[3, 3] + C[5, 5])
+    spread += x * x * (C[4, 4] + C[5, 5])
+    spread += 2.0 * (z * (C[0, 4] - C[1, 3]) + y * (C[2, 3] - C[0, 5]) + x * (C[1, 5] - C[2, 4]))
+    return spread - 2.0 * (y * z * C[4, 5] + x * z * C[3, 5] + x * y * C[3, 4])

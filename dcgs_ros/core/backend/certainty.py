@@ -45,7 +45,7 @@ def steps(
 
     A loop is a pair of keyframes and the covariance (6, 6) of its edge in the second one's frame.
     """
-    Ad = np.array([se3.adjoint(T) for T in poses]).reshape(-1, 6, 6)
+    Ad = se3.adjoint(poses)
     own = Ad @ np.array([one.covariance for one in odometry]).reshape(-1, 6, 6)
     own = own @ Ad.transpose(0, 2, 1)
     owners = np.repeat(np.arange(len(poses)), [len(one.hosts) for one in odometry])

@@ -44,7 +44,7 @@ class Neighbourhood:
             self._links[host].add(k)
 
     def same_view(self, keyframe: int, apart_m: float, among: Container[int]) -> int | None:
-        """Return one of some others that is no farther apart and not turned; None: there is none."""
+        """Return one of some others that is no farther apart and not turned; None if none is."""
         for other, T in self.around(keyframe, _REACHED).items():
             xi = se3.log(T)
             near = np.linalg.norm(xi[:3]) < apart_m and np.linalg.norm(xi[3:]) < _SAME_RAD

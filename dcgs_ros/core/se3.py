@@ -21,6 +21,10 @@ _SERIES = 1e-2  # rad: below, the series of V^-1's last coefficient loses less t
 _NEAR_PI = math.pi - 1e-3
 
 
+_HAT = np.zeros((3, 9))  # of hat, which is linear
+_HAT[[0, 0, 1, 1, 2, 2], [7, 5, 2, 6, 3, 1]] = np.tile([1.0, -1.0], 3)
+
+
 def hat(v: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the matrix (3, 3) of the cross product with v (3,): hat(v) w = v x w."""
     x, y, z = v
@@ -131,19 +135,22 @@ def transform(T: NDArray[np.float64], points: NDArray[np.floating]) -> NDArray[n
 
 
 def adjoint(T: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return Ad (6, 6) with T exp(xi) T^-1 = exp(Ad xi)."""
-    R = T[:3, :3]
-    Ad = np.zeros((6, 6))
-    Ad[:3, :3] = Ad[3:, 3:] = R
-    Ad[:3, 3:] = hat(T[:3, 3]) @ R
+    """Return Ad (..., 6, 6) of transforms (..., 4, 4), with T exp(xi) T^-1 = exp(Ad xi)."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = (t @ _HAT).reshape(R.shape) @ R
     return Ad
 
 
 def orthonormalised(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the nearest (4, 4) with an exact rotation: undoes the rounding of long products."""
-    u, _, vt = np.linalg.svd(T[:3, :3])
+    """Return the nearest transforms with an exact rotation, of one (4, 4) or of a stack.
+
+    It undoes the rounding of long products.
+    """
+    u, _, vt = np.linalg.svd(T[..., :3, :3])
     out = T.copy()
-    out[:3, :3] = u @ vt
+    out[..., :3, :3] = u @ vt
     return out
 
 

@@ -184,6 +184,16 @@ def test_orthonormalised_removes_scale_and_leaves_rigid_motions(
     np.testing.assert_allclose(se3.orthonormalised(stretched), T, atol=EXACT)
 
 
+def test_stacks_are_as_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    T = np.array([se3.exp(xi) for xi in rng.normal(size=(5, 6))])
+    np.testing.assert_array_equal(se3.adjoint(T), [se3.adjoint(one) for one in T])
+    T[:, :3, :3] *= 1.01
+    exact = [se3.orthonormalised(one) for one in T]
+    np.testing.assert_array_equal(se3.orthonormalised(T), exact)
+    assert se3.adjoint(T[:0]).shape == (0, 6, 6) and len(se3.orthonormalised(T[:0])) == 0
+
+
 @given(twists())
 def test_quaternion_round_trip(xi: NDArray[np.floating]) -> None:
     T = se3.exp(xi)

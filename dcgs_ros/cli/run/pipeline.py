@@ -154,7 +154,8 @@ class Pipeline:
         self.mapping.after(item, result)
         self.closing.after(result)
         seconds = time.perf_counter() - start
-        return TrackedFrame(index, result, seconds, len(self.tracker.gaussians))
+        kept = replace(result, keyframes=())  # their images would fill the memory of a long run
+        return TrackedFrame(index, kept, seconds, len(self.tracker.gaussians))
 
     def refine(self, record: RunRecord, progress: Progress, stopped: Callable[[], bool]) -> None:
         """Close the last loops, then optimise the map; once `stopped`, at most one more step."""

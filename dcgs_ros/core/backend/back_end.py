@@ -179,7 +179,7 @@ class BackEnd:
             return True
         T = correction.T_world_cam
         xi = np.array([se3.log(m) for m in se3.inverse(self._told) @ T])
-        Ad = np.array([se3.adjoint(m) for m in se3.inverse(T)])
+        Ad = se3.adjoint(se3.inverse(T))
         claimed = Ad @ correction.covariances @ Ad.transpose(0, 2, 1)
         for part, seen in ((slice(0, 3), _SEEN_M), (slice(3, 6), _SEEN_RAD)):
             sigmas = np.sqrt(np.linalg.eigvalsh(claimed[:, part, part])[:, -1])

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from .. import se3
 from ..kernels.jit import kernel
 from ..keyframe import Odometry
+from ..tracking.hosting import VAGUE
 
 _SWEEPS = 20  # there and back; two or three do where there are few loops
 _GAIN = 1e-3  # relative decrease of the size that is passed on
-_VAGUE = 1e-2 * np.eye(6)  # 10 m and 10 rad: along what a host does not hold
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def steps(
 
     A loop is a pair of keyframes and the covariance (6, 6) of its edge in the second one's frame.
     """
-    Ad = np.array([se3.adjoint(T) for T in poses]).reshape(-1, 6, 6)
+    Ad = se3.adjoint(poses)
     owners = np.repeat(np.arange(len(poses)), [len(one.hosts) for one in odometry])
     hosts = np.concatenate([np.empty(0, np.int64), *(one.hosts for one in odometry)])
     alone = np.concatenate([np.empty((0, 6, 6)), *(one.information for one in odometry)])
@@ -55,7 +55,7 @@ def steps(
     of_loops = np.array([loop[2] for loop in loops]).reshape(-1, 6, 6)
     ends = np.concatenate([owners, hosts, a, b])
     frames = np.concatenate([owners, owners, b, b])
-    covariances = np.linalg.inv(np.concatenate([np.empty((0, 6, 6)), *together, alone]) + _VAGUE)
+    covariances = np.linalg.inv(np.concatenate([np.empty((0, 6, 6)), *together, alone]) + VAGUE)
     covariances = np.concatenate([covariances, of_loops, of_loops])
     order = np.argsort(ends, kind='stable')
     return Steps(

@@ -9,7 +9,6 @@ the other way round. Both must tell the same, and leave no direction open.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +28,7 @@ from ..tracking.registration import DepthTerm, register
 from ..tracking.uncertainty import PoseUncertainty, pose_uncertainty
 from .alignment import Alignment
 from .features import extract
+from .neighbourhood import Neighbourhood
 from .places import Places, recognition
 
 _TRIED = 3  # keyframes that look most like a new one
@@ -39,6 +39,7 @@ _MOST_CHI2 = 2.0  # median of the depth factors
 _AGREE_M, _AGREE_RAD = 0.02, 0.02  # of both ways, plus their standard deviations
 _MOVED_M, _MOVED_RAD = 0.08, 0.06  # by the registration, from where the features say
 _SIGMAS = 3.0
+_SAME_SHARE = 0.1  # of how far away is what is seen: views that are so little apart show the same
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,11 @@ class Loop:
 
 
 class Closures:
-    """Finds the loops of each keyframe with the earlier ones."""
+    """Finds the loops of each keyframe with the earlier ones.
+
+    What is kept grows with what there is to see, not with time: a keyframe that shows the same as
+    an earlier one is left out once the next one comes.
+    """
 
     def __init__(self, camera: PinholeCamera, config: Config) -> None:
         """Start without keyframes."""
@@ -61,27 +66,36 @@ class Closures:
         self._config = config.scaled_to(camera.width, camera.height)
         self.places = Places(camera, config)
         self._clouds: dict[int, FrameCloud] = {}
-        self._hosts: dict[int, dict[int, NDArray[np.float64]]] = {}  # T_host_cam of a keyframe
-        self._links: defaultdict[int, set[int]] = defaultdict(set)  # both ways
+        self._neighbourhood = Neighbourhood()
+        self._seen_again: tuple[int, int] | None = None  # the last keyframe, if one is like it
 
     def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
         """Keep a keyframe's features, depth and odometry; `camera` made its images, if another."""
         odometry, frame, config = keyframe.odometry, keyframe.frame, self._config
         assert odometry is not None
+        self._leave_out()
         camera, moved = camera or self._camera, keyframe.T_cam_cam_at_depth
-        k, hosts = odometry.keyframe, odometry.hosts.tolist()
-        self.places.add(k, extract(frame, camera, config.sensor, moved))
         cloud = sample(frame, camera, config, config.cloud.stride_px, np.zeros(6))
-        self._clouds[k] = cloud.moved(moved)
-        self._hosts[k] = dict(zip(hosts, odometry.T_host_cam, strict=True))
-        self._links[k].update(hosts)
-        for host in hosts:
-            self._links[host].add(k)
+        k, cloud = odometry.keyframe, cloud.moved(moved)
+        self._neighbourhood.add(odometry)
+        like = self._neighbourhood.same_view(k, _same_view_m(cloud), among=self._clouds)
+        self._seen_again = None if like is None else (k, like)
+        self._clouds[k] = cloud
+        self.places.add(k, extract(frame, camera, config.sensor, moved), is_new=like is None)
+
+    def _leave_out(self) -> None:
+        """Leave out the last keyframe, if an earlier one shows the same."""
+        if self._seen_again is None:
+            return
+        keyframe, like = self._seen_again
+        self._neighbourhood.leave_out(keyframe, like)
+        self.places.forget(keyframe)
+        del self._clouds[keyframe]
 
     def close(self, keyframe: int) -> list[Loop]:
         """Return the loops of a keyframe with earlier ones, which may still be wrong."""
         features = self.places.features_of(keyframe)
-        near = self._linked(keyframe)
+        near = self._neighbourhood.around(keyframe, _LINKED)  # itself included
         loops = []
         for candidate in self.places.candidates(features, _TRIED, without=near):
             found = self.places.align(candidate, features)
@@ -89,14 +103,6 @@ class Closures:
                 loop = self.verified(candidate, keyframe, found)
                 loops += [] if loop is None else [loop]
         return loops
-
-    def _linked(self, keyframe: int) -> set[int]:
-        """Return the keyframes within a few edges of odometry, itself included."""
-        reached = frontier = {keyframe}
-        for _ in range(_LINKED):
-            frontier = {other for k in frontier for other in self._links[k]} - reached
-            reached = reached | frontier
-        return reached
 
     def verified(self, a: int, b: int, found: Alignment) -> Loop | None:
         """Register both ways from where the features say; None unless all agree."""
@@ -145,13 +151,9 @@ class Closures:
 
     def _surroundings(self, keyframe: int) -> list[tuple[int, NDArray[np.float64]]]:
         """Return a keyframe and those linked with it, newest first, and T_keyframe_other."""
-        found = [(keyframe, np.eye(4))]
-        others = sorted(self._links[keyframe].intersection(self._clouds), reverse=True)
-        for other in others[:_NEIGHBOURS]:
-            T = self._hosts[keyframe].get(other)
-            T_keyframe_other = self._hosts[other][keyframe] if T is None else se3.inverse(T)
-            found.append((other, T_keyframe_other))
-        return found
+        linked = self._neighbourhood.around(keyframe, 1)
+        others = sorted(linked.keys() & self._clouds.keys() - {keyframe}, reverse=True)
+        return [(k, linked[k]) for k in [keyframe, *others[:_NEIGHBOURS]]]
 
 
 @dataclass(frozen=True)
@@ -164,3 +166,8 @@ def _covariance(uncertainty: PoseUncertainty) -> NDArray[np.float64]:
     """Return the covariance (6, 6) of a registration, with the bias that its residuals show."""
     beta2 = BiasVariance().observed(uncertainty.bias_evidence).beta2
     return uncertainty.covariance(beta2, 0.0, np.zeros(6))
+
+
+def _same_view_m(cloud: FrameCloud) -> float:
+    """Return how far apart views show the same, metres."""
+    return _SAME_SHARE * float(np.median(cloud.points[:, 2])) if len(cloud) else 0.0

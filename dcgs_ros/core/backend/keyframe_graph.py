@@ -106,8 +106,8 @@ class KeyframeGraph:
         """Move the keyframes to where odometry and loops agree best; drop loops that do not."""
         edges, fixed = self._all_edges(), self._fixed()
         solution = optimise(self.poses, edges, fixed)
-        for k in set(range(len(self))).difference(fixed):
-            self.poses[k] = se3.orthonormalised(solution.T_world_cam[k])
+        free = np.setdiff1d(np.arange(len(self)), fixed)
+        self.poses[free] = se3.orthonormalised(solution.T_world_cam[free])
         held = solution.weights[len(edges) - len(self.loops) :] >= _DOUBTFUL
         self.rejected += [loop for loop, good in zip(self.loops, held, strict=True) if not good]
         self.loops = [loop for loop, good in zip(self.loops, held, strict=True) if good]

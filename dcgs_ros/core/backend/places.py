@@ -41,6 +41,7 @@ class Places:
         self._camera, self._config = camera, config
         self._lock = threading.Lock()
         self._features: dict[int, Features] = {}  # by keyframe
+        self._known_by_others: set[int] = set()
         self._rows: list[int] = []  # keyframe of each row of the index
         self._sizes: list[int] = []
         self._heads = np.full((_TABLES, _WORDS), -1, np.int32)
@@ -53,8 +54,15 @@ class Places:
         """Return the number of keyframes."""
         return len(self._rows)
 
-    def add(self, keyframe: int, features: Features) -> None:
-        """Add a keyframe by its index."""
+    def add(self, keyframe: int, features: Features, is_new: bool = True) -> None:
+        """Add a keyframe by its index.
+
+        One whose view is not new has its features until `forget`, but is no candidate.
+        """
+        if not is_new:
+            self._features[keyframe] = features
+            self._known_by_others.add(keyframe)
+            return
         words = np.empty((_TABLES, len(features)), np.int64)
         _write_words(features.descriptors, _SELECTED, words)
         with self._lock:
@@ -66,9 +74,13 @@ class Places:
             self._sizes.append(len(features))
             self._features[keyframe] = features
 
+    def forget(self, keyframe: int) -> None:
+        """Drop the features of a keyframe whose view was not new."""
+        del self._features[keyframe]
+
     def knows(self, keyframe: int) -> bool:
-        """Return whether a keyframe's place would be recognised."""
-        return keyframe in self._features
+        """Return whether a keyframe's place would be recognised, by it or by one like it."""
+        return keyframe in self._features or keyframe in self._known_by_others
 
     def features_of(self, keyframe: int) -> Features:
         """Return the features of a keyframe that was added."""

@@ -21,7 +21,7 @@ _MOST = 6  # hosts of a pose, those that hold most
 _FEIGNED_SIGMAS = 2.0  # as in `uncertainty`: of what independent normals may add up to
 _PRIOR = np.eye(6)  # 1 / m^2, 1 / rad^2: what nothing holds goes on from the last keyframe
 _FLOOR = 1e-12 * np.eye(6)  # 1 um, 1 urad: keeps a covariance invertible
-_VAGUE = 1e-2 * np.eye(6)  # 10 m, 10 rad: along what a few hosts do not hold
+VAGUE = 1e-2 * np.eye(6)  # 10 m, 10 rad: along what a few hosts do not hold
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Hosts:
         """
         if not len(self.keyframes):
             return np.zeros((6, 6))
-        own = np.linalg.inv(np.cumsum(self.information, axis=0) + _VAGUE)
+        own = np.linalg.inv(np.cumsum(self.information, axis=0) + VAGUE)
         sizes = np.trace(theirs, axis1=1, axis2=2)
         worst = [int(np.argmax(sizes[: n + 1])) for n in range(len(sizes))]
         bounds = theirs[worst] + own

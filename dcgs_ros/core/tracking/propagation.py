@@ -135,9 +135,9 @@ class KeyframeChain:
         `motions` (M, 4, 4), of all keyframes, is from where the world had each to where it is now.
         """
         known = len(covariances)
-        Ad = [se3.adjoint(motion) for motion in motions[known:]]
-        later = [A @ C @ A.T for A, C in zip(Ad, self._covariances[known:], strict=True)]
-        self._covariances = np.concatenate([covariances, np.reshape(later, (-1, 6, 6))])
+        Ad = se3.adjoint(motions[known:])
+        later = Ad @ self._covariances[known:] @ Ad.transpose(0, 2, 1)
+        self._covariances = np.concatenate([covariances, later])
 
     def add(self, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]) -> None:
         """Add a keyframe with the covariance (6, 6) of its pose in the world, camera frame."""

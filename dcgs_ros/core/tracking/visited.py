@@ -106,8 +106,10 @@ class Visited:
         Keyframes that the correction does not know move with the last one of their sub-map that it
         knows.
         """
-        pairs = zip(correction.T_world_cam, self.poses, strict=False)
-        motions = [se3.orthonormalised(T @ se3.inverse(before)) for T, before in pairs]
+        known = min(len(correction.T_world_cam), len(self))
+        before = np.reshape(self.poses[:known], (-1, 4, 4))
+        after = correction.T_world_cam[:known]
+        motions = list(se3.orthonormalised(after @ se3.inverse(before)))
         newest = dict(zip(self.submaps, motions, strict=False))
         motions += [newest.get(submap, np.eye(4)) for submap in self.submaps[len(motions) :]]
         self.poses = [M @ T for M, T in zip(motions, self.poses, strict=True)]

@@ -80,6 +80,26 @@ def test_keyframes_that_odometry_links_need_no_loop() -> None:
     assert closures(ROOM, [10, 12, 14], linked=True).close(2) == []
 
 
+def test_a_place_that_is_seen_again_and_again_is_kept_once() -> None:
+    """Two views in turn: all that comes after the first two is as good as linked with those."""
+    found = closures(ROOM, [0, 12] * 3, linked=True)
+    assert len(found.places) == 2
+    assert found.places.candidates(found.places.features_of(5), 6) == [1, 0]
+    assert found.close(5) == []
+    with pytest.raises(KeyError):
+        found.places.features_of(4)
+    assert all(found.places.knows(k) for k in range(6)) and not found.places.knows(6)
+
+
+def test_a_view_that_was_seen_before_closes_its_loops_first() -> None:
+    found = closures(ROOM, [13, 0, 12, 12], linked=False)
+    before = [(loop.a, loop.b) for loop in found.close(3)]
+    assert (0, 3) in before and (2, 3) in before
+    linked = closures(ROOM, [13, 0, 12], linked=False)
+    linked.add(keyframe(3, frames_of(ROOM)[12], [2], np.eye(4)))
+    assert [(loop.a, loop.b) for loop in linked.close(3)] == [(0, 3)]
+
+
 def test_features_in_one_plane_are_no_loop_however_many_agree() -> None:
     """A floor that repeats itself gives as many at a wrong place."""
     found = closures(PLANE, [0, 3], linked=False)

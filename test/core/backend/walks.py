@@ -82,7 +82,7 @@ def round_block(
     tracked, odometry = [truth[0]], [first(0)]
     for k in range(1, count):
         hosts, shares = _hosts(k, 0)
-        host = int(rng.choice(hosts, p=shares))  # whose error it inherits
+        host = int(rng.choice(hosts[::-1], p=shares[::-1]))  # whose error it inherits
         T = tracked[host] @ se3.inverse(truth[host]) @ truth[k] @ drawn(rng, covariance)
         odometry.append(relative(k, T, np.array(tracked), covariance))
         tracked.append(T)

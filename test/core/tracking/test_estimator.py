@@ -93,14 +93,14 @@ def test_along_a_wall_a_few_landmarks_say_more_than_the_prediction() -> None:
     made, memory, wall = tracker(), tracker()._memory, deepcopy(tracker().gaussians)
     ahead = memory.motion.T_world_cam[:3, 2]
     wall.remove(wall.ids[(wall.ids >= 0) & (np.abs(wall.normals @ ahead) < 0.95)])
-    beside = memory.motion.T_world_cam @ se3.exp(np.array([0.06, 0, 0, 0, 0, 0]))
-    few = np.sort(np.random.default_rng(0).permutation(len(memory.landmarks))[:19])
+    beside = memory.motion.T_world_cam @ se3.exp(np.array([0.08, 0, 0, 0, 0, 0]))
+    few = np.linspace(0, len(memory.landmarks) - 1, 19).astype(int)
     misplaced = replace(
         memory, motion=replace(memory.motion, T_world_cam=beside), landmarks=memory.landmarks[few]
     )
     found = estimate(frames()[SEEN], misplaced, wall, made.camera, made.config)
     assert len(found.landmarks) < 20 and found.registration.inliers > 1000
-    assert error(found)[0] < 0.02
+    assert error(found)[0] < 0.036  # from the prediction it ends at 0.045
 
 
 def test_a_landmark_that_contradicts_the_pose_is_told_from_those_that_do_not() -> None:

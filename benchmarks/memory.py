@@ -59,7 +59,7 @@ def full_map(gaussians: int, keyframes: int, steps: int) -> float:
         for frame, T_world_cam in zip(source, source.groundtruth.T_world_cam, strict=True):
             assert isinstance(frame, RgbdFrame)
             first, count = len(mapper.views) * gaussians // keyframes, gaussians // keyframes
-            mapper.insert(_keyframe(frame, T_world_cam, source.camera, first, count))
+            mapper.insert(keyframe_of(frame, T_world_cam, source.camera, first, count))
         for _ in range(steps):
             mapper.step(replay=True)
         print(f'{len(mapper.table)} Gaussians, {len(mapper.views)} keyframes', flush=True)
@@ -68,7 +68,7 @@ def full_map(gaussians: int, keyframes: int, steps: int) -> float:
     return peak
 
 
-def _keyframe(
+def keyframe_of(
     frame: RgbdFrame,
     T_world_cam: NDArray[np.float64],
     camera: PinholeCamera,

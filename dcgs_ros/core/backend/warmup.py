@@ -33,6 +33,7 @@ def warm_up(camera: PinholeCamera) -> None:
     back_end.work()
     back_end.optimised()
     back_end.places.recognise(frame)
-    first = np.arange(min(len(closures.places.features_of(k)) for k in (0, 1)))
-    closures.verified(0, 1, Alignment(np.eye(4), len(first), first, first))
+    last = tracker.keyframes - 1  # of those between, which show the same, nothing is kept
+    first = np.arange(min(len(closures.places.features_of(k)) for k in (0, last)))
+    closures.verified(0, last, Alignment(np.eye(4), len(first), first, first))
     warm_up_graph()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.backend.closure import Closures
+from dcgs_ros.core.backend.warmup import warm_up
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe, Odometry
@@ -89,6 +90,10 @@ def test_a_place_that_is_seen_again_and_again_is_kept_once() -> None:
     with pytest.raises(KeyError):
         found.places.features_of(4)
     assert all(found.places.knows(k) for k in range(6)) and not found.places.knows(6)
+
+
+def test_the_warm_up_registers_keyframes_although_the_camera_rests() -> None:
+    warm_up(source_of(ROOM).camera)
 
 
 def test_a_view_that_was_seen_before_closes_its_loops_first() -> None:

@@ -57,6 +57,19 @@ class Hosts:
         bounds = theirs[worst] + own
         return np.asarray(bounds[np.argmin(np.trace(bounds, axis1=1, axis2=2))])
 
+    def within_reach(self, theirs: NDArray[np.float64], reach_m: float) -> Hosts:
+        """Return those that are known to within a distance relative to the newest one.
+
+        `theirs` (H, 6, 6) are the covariances in the world, camera frame. Where a camera comes
+        back to an old part of the map and may be beside it by more than the association reaches,
+        what matches there is chance. The newest host gets that part.
+        """
+        apart = (theirs[-1:] - theirs)[:, :3, :3]
+        known = np.linalg.eigvalsh(apart)[:, -1] < reach_m**2
+        information = self.information[known]
+        information[-1] += self.information[~known].sum(axis=0)
+        return Hosts(self.keyframes[known], information)
+
 
 def hosts_of(
     found: Registration,

@@ -535,7 +535,9 @@ class Tracker:
                 T_world_depth, frame.depth_m, self.camera, config.sensor
             )
             self._usual = self._usual.with_keyframe(agreement)
-        odometry = self._visited.odometry(T, claim.submap, claim.covariance, claim.hosts)
+        odometry = self._visited.odometry(
+            T, claim.submap, claim.covariance, claim.hosts, config.registration.guess_radius_m
+        )
         keyframe = self._host = odometry.keyframe
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor, keyframe)
         cloud = candidates(registered, last, self.camera, config)

@@ -85,8 +85,11 @@ class Visited:
         submap: int,
         covariance: NDArray[np.float64],
         hosts: Hosts,
+        reach_m: float,
     ) -> Odometry:
-        """Return the next keyframe relative to its hosts."""
+        """Return the next keyframe relative to its hosts, see `Hosts.within_reach`."""
+        if len(hosts.keyframes) > 1:
+            hosts = hosts.within_reach(self._chain.seen_from(T_world_cam, hosts), reach_m)
         T_host_cam = [se3.inverse(self.poses[k]) @ T_world_cam for k in hosts.keyframes]
         return Odometry(
             len(self), submap, hosts.keyframes, np.reshape(T_host_cam, (-1, 4, 4)),

@@ -113,3 +113,13 @@ def test_of_many_hosts_those_that_hold_most_are_kept() -> None:
     assert len(hosts.keyframes) == 6 and {9, 20} < set(hosts.keyframes.tolist())
     whole = np.linalg.inv(C)
     np.testing.assert_allclose(hosts.information.sum(axis=0), whole, atol=1e-4 * whole.max())
+
+
+def test_a_host_that_may_be_beside_the_newest_holds_nothing() -> None:
+    """It is matched by chance; what it seems to tell is left to the newest one."""
+    hosts = Hosts(np.array([0, 7, 8], np.int32), np.tile(np.eye(6), (3, 1, 1)))
+    theirs = np.array([np.zeros((6, 6)), 0.039 * np.eye(6), 0.04 * np.eye(6)])
+    kept = hosts.within_reach(theirs, 0.12)
+    assert kept.keyframes.tolist() == [7, 8]
+    np.testing.assert_array_equal(kept.information, np.array([[[1.0]], [[2.0]]]) * np.eye(6))
+    assert hosts.within_reach(theirs, 0.3).keyframes.tolist() == [0, 7, 8]

@@ -51,10 +51,11 @@ class Hosts:
         """
         if not len(self.keyframes):
             return np.zeros((6, 6))
-        own = np.linalg.inv(np.cumsum(self.information, axis=0) + VAGUE)
+        together = np.cumsum(self.information, axis=0)
+        together[:-1] += VAGUE
         sizes = np.trace(theirs, axis1=1, axis2=2)
         worst = [int(np.argmax(sizes[: n + 1])) for n in range(len(sizes))]
-        bounds = theirs[worst] + own
+        bounds = theirs[worst] + np.linalg.inv(together)
         return np.asarray(bounds[np.argmin(np.trace(bounds, axis1=1, axis2=2))])
 
     def within_reach(self, theirs: NDArray[np.float64], reach_m: float) -> Hosts:

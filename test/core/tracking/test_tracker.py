@@ -225,9 +225,9 @@ def test_the_world_is_no_surer_than_the_map() -> None:
     after = [k for k, result in enumerate(results) if result.keyframe][1]
     for k, result in enumerate(results):
         added = result.covariance_world - result.covariance
-        assert np.linalg.eigvalsh(0.5 * (added + added.T))[0] > -1e-9
+        assert np.linalg.eigvalsh(0.5 * (added + added.T))[0] > -1e-11
         if k <= after:
-            np.testing.assert_allclose(added, 0, atol=1e-9)
+            np.testing.assert_allclose(added, 0, atol=1e-11)
     assert np.trace(results[-1].covariance_world - results[-1].covariance) > 0
 
 

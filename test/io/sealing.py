@@ -8,6 +8,10 @@ import io
 import re
 import zipfile
 
+from dcgs_ros.io.archive import VERSION
+
+_VERSION = f'"version": {VERSION}'.encode()
+
 
 def unsealed_zip(data: bytes) -> bytes:
     """Return an archive as version 1, which has no digest."""
@@ -16,7 +20,7 @@ def unsealed_zip(data: bytes) -> bytes:
         for name in old.namelist():
             content = old.read(name)
             if name == 'metadata.json':
-                content = content.replace(b'"version": 2', b'"version": 1')
+                content = content.replace(_VERSION, b'"version": 1')
             new.writestr(zipfile.ZipInfo(name), content)
     return file.getvalue()
 

@@ -228,7 +228,7 @@ HOSTILE = {
     ),
     'from the future': (
         packed(metadata=versioned(99)),
-        'version 99; this program reads versions 1 to 2',
+        'version 99; this program reads versions 1 to 3',
     ),
     'version as text': (packed(metadata=versioned('1')), 'lacks the version'),
     'objects': (array(npy(np.array([None]), True)), r"'x' is of type b'\|O'"),

@@ -75,7 +75,8 @@ class Search:
         self._stamp_ns = frame.stamp_ns
         found = self._best(frame, memory.motion, gaussians, recogniser, config, guesses)
         uncertainty = claims.uncertainty(found.registration)
-        if self._holds(found, uncertainty, memory.motion, gaussians, claims, clocks, config):
+        holds = self._holds(found, uncertainty, memory.motion, gaussians, claims, clocks, config)
+        if holds and self._looks_right(found, memory.motion, recogniser):
             return Sought(found, uncertainty)
         self.seconds += step_s
         return Sought(found, None)
@@ -123,6 +124,20 @@ class Search:
             return True
         doubt = claims.in_doubt(uncertainty, clocks)
         return jump_sigmas(T, motion.prior(frame.stamp_ns), doubt) <= JUMP_SIGMAS
+
+    def _looks_right(
+        self, found: Estimate, motion: ConstantVelocity, recogniser: Recogniser | None
+    ) -> bool:
+        """Return whether what the image shows was recognised, where it could be.
+
+        Another room may have the same shape. But a camera that was tracked half a second ago is
+        still in its own.
+        """
+        best = found.registration
+        if recogniser is None or best.image is not None:
+            return True
+        here = int(np.bincount(best.hosts).argmax())
+        return not (motion.is_gap(found.registered.frame.stamp_ns) and recogniser.knows(here))
 
     def _recognised(
         self, frame: RgbdFrame, recogniser: Recogniser | None, config: Config

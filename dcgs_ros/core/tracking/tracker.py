@@ -76,6 +76,8 @@ class Tracker:
         self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._search: Search | None = None  # while the camera's place is not known
+        self._trial: Tracker | None = None  # in what may become a sub-map
+        self._agreed = 0  # frames that were tracked well in it
         self.revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
@@ -289,7 +291,8 @@ class Tracker:
 
     def _lose(self) -> Search:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
-        self._first = None
+        self._first = self._trial = None
+        self._agreed = 0
         self._memory = self._forgotten(self._memory.motion)
         self._search = Search(
             self.camera, self._memory.motion, self._visited, self._usual, self.recogniser
@@ -397,16 +400,30 @@ class Tracker:
         enough = len(found.registration.depth.points) >= 2 * config.registration.min_pairs
         if limit_s is None or search.seconds < limit_s or not enough:
             return self._lost(frame, found.registration)
-        return self._begin_submap(frame)
+        twist = self._tried(frame)
+        if twist is None:
+            return self._lost(frame, found.registration)
+        return self._begin_submap(frame, twist)
 
-    def _begin_submap(self, frame: RgbdFrame) -> TrackResult:
+    def _tried(self, frame: RgbdFrame) -> NDArray[np.float64] | None:
+        """Track the frame in a map of the last few alone; return its twist (6,) if all hold there.
+
+        A sub-map of one frame might be of a covered lens, or of depth that is none.
+        """
+        trial = self._trial = self._trial or Tracker(self.camera, self.config)
+        self._agreed += 1
+        if trial.track(frame).state is not TrackingState.OK:
+            self._trial, self._agreed = None, 0
+        return trial._memory.motion.twist if self._agreed > _CONFIRMATIONS else None
+
+    def _begin_submap(self, frame: RgbdFrame, twist: NDArray[np.float64]) -> TrackResult:
         """Begin a sub-map where the camera was last, for want of a better place."""
         submap = max(self._visited.submaps) + 1
         T = self.T_world_cam.copy()
         T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
-        self._search, self._usual = None, Usual()
+        self._search, self._trial, self._usual = None, None, Usual()
         claim = Claim(np.zeros((6, 6)), UNKNOWN, np.empty(0, np.int32), submap)
-        keyframe = self._start_submap(frame, to_grey(frame.color), T, np.zeros(6), claim)
+        keyframe = self._start_submap(frame, to_grey(frame.color), T, twist, claim)
         self._held.append(keyframe)
         return TrackResult(
             frame.stamp_ns, T, np.eye(4), claim.covariance, claim.in_world, TrackingState.OK, None,
@@ -418,7 +435,7 @@ class Tracker:
         """Go on from where the camera was found, which the next frames have to confirm."""
         registered, best = found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
-        self._search, self._unconfirmed = None, _CONFIRMATIONS
+        self._search, self._trial, self._unconfirmed = None, None, _CONFIRMATIONS
         self._host = int(np.bincount(best.hosts).argmax())
         self._memory = replace(
             self._forgotten(ConstantVelocity.at_rest(T, stamp_ns)),

@@ -1,25 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A lost camera in a map: `python -m benchmarks.relocalization [--data FOLDER] [--tries N]`.
+"""A lost camera in a map: `python -m benchmarks.relocalization [--data FOLDER] [--maps NAME ...]`.
 
-The map is of the first half of a sequence. The tracker then begins again and again somewhere in
-the second half, not knowing where, and has a second of frames to say where it is. Only tries count
-at whose beginning most of the view was seen in the first half. Wrong is a pose that is claimed and
-is more than 10 cm or 5 degrees off, in the alignment of the first half. Foreign are tries with
-frames of other sequences: any pose that is claimed is wrong.
+Of a real sequence the map is of the first half. The tracker then begins again and again somewhere
+in the second half, not knowing where, and has a second of frames to say where it is. In a
+synthetic scene the map is of the whole sequence, and the tries are from beside its path. Only
+tries count at whose beginning most of the view was seen by the map. Wrong is a pose that is
+claimed and is more than 10 cm or 5 degrees off, in the alignment of the map.
+
+Look-alike are tries in other places that resemble the map's: the same scene with other textures,
+the same furniture rearranged, another room of the same building. Foreign are tries with frames of
+other sequences. Of both, any pose that is claimed is wrong.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.altered_scenes import Altered, rearranged, redecorated
 from benchmarks.covisibility import View, share_seen
 from dcgs_ros.core import se3
 from dcgs_ros.core.config.stages import Config
@@ -30,15 +36,22 @@ from dcgs_ros.core.tracking.result import TrackingState
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.open import open_source
 from dcgs_ros.datasets.source import Source
+from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.evaluation.trajectory import align_umeyama, nearest
 
-SYNTHETIC = [f'synthetic:room?frames=200&seed={seed}' for seed in range(2)]
-LOOK_ALIKE = [f'synthetic:ring?frames=60&seed={seed}' for seed in range(3, 5)]
+SYNTHETIC = [
+    f'synthetic:{scene}?frames=300&seed={seed}' for scene in ('room', 'desk') for seed in range(2)
+]
+RING = 'synthetic:ring?frames=300&seed=3&speed=2'
+ROUND_THE_RING = 'synthetic:ring?frames=2150&seed=3&speed=2'
 REAL = ['tum_fr3_teddy_200', 'mini_fr1_xyz_vga_120', 'tum_fr1_rpy_240']
 _SECOND = 30  # frames
+_BRIEF = 6  # frames of a try in another place
 _SEEN = 0.8  # share of the view at the beginning of a try that counts
 _WRONG_M, _WRONG_RAD = 0.10, math.radians(5)
 _FRAME_NS = 33_333_333
+_TRIES, _LOOK_ALIKE, _FOREIGN = 50, 50, 130  # in each map
+_UNSEEN = 0.02  # share of the view that may be seen from another room
 
 
 class _NoMap:
@@ -82,17 +95,18 @@ class Clip:
             for frame, k, ns in zip(frames, at, gap, strict=True)
             if ns < 20_000_000
         ]
-        return cls(Path(address).name, source, views)
+        name = address if 'synthetic:' in address else Path(address).name
+        return cls(name, source, views)
 
 
 class Map:
-    """A tracker in the map of a clip's first half, which nothing changes any more."""
+    """A tracker in the map of a clip, which nothing changes any more."""
 
-    def __init__(self, clip: Clip) -> None:
-        """Track the first half, with the back end."""
+    def __init__(self, clip: Clip, views: Sequence[View]) -> None:
+        """Track the views, with the back end."""
+        self.clip, self.known = clip, views
         self.tracker = Tracker(clip.source.camera, Config(sensor=clip.source.sensor))
         closing = ClosingInLockstep(self.tracker, _NoMap())  # type: ignore[arg-type]
-        self.known = clip.views[: len(clip.views) // 2]
         poses = []
         for frame, _ in self.known:
             result = self.tracker.track(frame)
@@ -104,10 +118,14 @@ class Map:
         self.tracker.localize_only = True
         self._stamp_ns = self.known[-1][0].stamp_ns
 
-    def found_after(self, views: Sequence[View]) -> tuple[int, NDArray[np.float64]] | None:
+    def share_seen(self, view: View) -> float:
+        """Return which share of a view the map has seen."""
+        return share_seen(view, self.known[::5], self.clip.source.camera)
+
+    def found_after(self, views: Iterable[View]) -> tuple[int, NDArray[np.float64]] | None:
         """Return after how many frames a pose was claimed, and its error (6,); None: never."""
         self.tracker.interrupt()
-        for number, (frame, T) in enumerate(views[:_SECOND], start=1):
+        for number, (frame, T) in enumerate(views, start=1):
             self._stamp_ns += _FRAME_NS
             late_ns = frame.depth_stamp_ns - frame.stamp_ns
             stamped = replace(
@@ -129,17 +147,24 @@ def _tripods(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(points.reshape(-1, 3))
 
 
-def halves(clip: Clip, tries: int, rng: np.random.Generator) -> Tally:
-    """Return what came of tries in the second half."""
-    known, tally = Map(clip), Tally()
-    rest = clip.views[len(clip.views) // 2 :]
-    sparse = known.known[::5]
-    starts = rng.permutation(len(rest) - 5)
-    for start in starts[:tries].tolist():
-        if share_seen(rest[start], sparse, clip.source.camera) < _SEEN:
+def rendered(source: SyntheticSource, start: int, count: int) -> Iterator[View]:
+    """Yield frames of a synthetic sequence with their true poses, each when it is asked for."""
+    for k in range(start, min(start + count, len(source))):
+        frame = source.render(k)
+        yield frame, source.pose(frame.stamp_ns)
+
+
+def seen(known: Map, tries: Iterable[Iterator[View]]) -> Tally:
+    """Return what came of tries that begin where the map has seen most of the view."""
+    tally = Tally()
+    for views in tries:
+        if tally.tries == _TRIES:
+            break
+        first = next(views)
+        if known.share_seen(first) < _SEEN:
             continue
         tally.tries += 1
-        found = known.found_after(rest[start:])
+        found = known.found_after(itertools.chain([first], views))
         if found is None:
             continue
         number, error = found
@@ -150,17 +175,55 @@ def halves(clip: Clip, tries: int, rng: np.random.Generator) -> Tally:
     return tally
 
 
-def foreign(clip: Clip, others: Sequence[Clip], tries: int, rng: np.random.Generator) -> Tally:
-    """Return what came of tries with frames of other sequences of the same camera's size."""
-    known, tally = Map(clip), Tally()
-    size = clip.views[0][0].depth_m.shape
-    for other in others:
-        if other.views[0][0].depth_m.shape != size:
-            continue
-        for start in rng.permutation(len(other.views) - 5)[:tries].tolist():
-            tally.tries += 1
-            tally.wrong += known.found_after(other.views[start : start + 10]) is not None
+def elsewhere(known: Map, tries: Iterable[Iterable[View]]) -> Tally:
+    """Return what came of tries in other places, where each pose is wrong."""
+    tally = Tally()
+    for views in tries:
+        tally.tries += 1
+        tally.wrong += known.found_after(views) is not None
     return tally
+
+
+def beside_the_path(address: str, rng: np.random.Generator) -> Iterator[Iterator[View]]:
+    """Yield a second of frames from beside the path again and again."""
+    while True:
+        source = Altered(address, rng)
+        yield rendered(source, int(rng.integers(len(source) - _SECOND)), _SECOND)
+
+
+def second_half(clip: Clip, rng: np.random.Generator) -> Iterator[Iterator[View]]:
+    """Yield a second of frames from each place in the second half, in random order."""
+    rest = clip.views[len(clip.views) // 2 :]
+    for start in rng.permutation(len(rest) - 5).tolist():
+        yield iter(rest[start : start + _SECOND])
+
+
+def look_alikes(address: str, rng: np.random.Generator) -> Iterator[Iterator[View]]:
+    """Yield frames of the scene with other textures, and rearranged, in turn."""
+    for change in itertools.cycle((redecorated, rearranged)):
+        source = Altered(address, rng, change)
+        yield rendered(source, int(rng.integers(len(source) - _BRIEF)), _BRIEF)
+
+
+def other_rooms(known: Map, rng: np.random.Generator) -> Iterator[Iterator[View]]:
+    """Yield frames of the ring from where nothing of the map is seen."""
+    source = SyntheticSource.from_address(ROUND_THE_RING)
+    while True:
+        start = int(rng.integers(len(source) - _BRIEF))
+        if known.share_seen(next(rendered(source, start, 1))) <= _UNSEEN:
+            yield rendered(source, start, _BRIEF)
+
+
+def others(clip: Clip, clips: Sequence[Clip], rng: np.random.Generator) -> Iterator[list[View]]:
+    """Yield frames of the sequences of other places whose images are of the same size."""
+    size, place = clip.views[0][0].depth_m.shape, _place(clip)
+    strange = [
+        other for other in clips
+        if _place(other) != place and other.views[0][0].depth_m.shape == size
+    ]  # fmt: skip
+    for other in itertools.cycle(strange):
+        start = int(rng.integers(len(other.views) - 5))
+        yield other.views[start : start + _BRIEF]
 
 
 def _place(clip: Clip) -> str:
@@ -168,31 +231,36 @@ def _place(clip: Clip) -> str:
     return 'fr1' if 'fr1' in clip.name else clip.name.split('?')[0]
 
 
-def rows(addresses: Sequence[str], tries: int) -> Iterator[str]:
-    """Yield a row of the table for each sequence."""
-    clips = [Clip.of(address) for address in addresses]
-    strange = [*clips, *(Clip.of(address) for address in LOOK_ALIKE)]
-    for clip in clips:
-        rng = np.random.default_rng(0)
-        own = halves(clip, tries, rng)
-        others = [other for other in strange if _place(other) != _place(clip)]
-        theirs = foreign(clip, others, max(tries // 4, 1), rng)
-        yield f'| {clip.name} | {own} | {theirs.tries} | {theirs.wrong} |'
+def row(clip: Clip, clips: Sequence[Clip]) -> str:
+    """Return the row of the table of the map of a clip."""
+    rng, synthetic = np.random.default_rng, isinstance(clip.source, SyntheticSource)
+    known = Map(clip, clip.views if synthetic else clip.views[: len(clip.views) // 2])
+    own, alike = Tally(), Tally()
+    if clip.name == RING:
+        alike = elsewhere(known, itertools.islice(other_rooms(known, rng(1)), _LOOK_ALIKE))
+    elif synthetic:
+        own = seen(known, beside_the_path(clip.name, rng(0)))
+        alike = elsewhere(known, itertools.islice(look_alikes(clip.name, rng(1)), _LOOK_ALIKE))
+    else:
+        own = seen(known, second_half(clip, rng(0)))
+    theirs = elsewhere(known, itertools.islice(others(clip, clips, rng(2)), _FOREIGN))
+    others_said = f'{alike.tries} | {alike.wrong} | {theirs.tries} | {theirs.wrong}'
+    return f'| {clip.name} | {own} | {others_said} |'
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--data', type=Path, help='folder of the real sequences')
-    parser.add_argument('--tries', type=int, default=60, help='in the second half of each')
+    parser.add_argument('--maps', nargs='+', default=[''], help='only those with this in the name')
     arguments = parser.parse_args()
     real = [str(arguments.data / name) for name in REAL] if arguments.data else []
-    print(
-        '| map of the first half of | tries | found in 1 s | after s | wrong | foreign | wrong |'
-    )
-    print('|---|---|---|---|---|---|---|')
-    for row in rows([*SYNTHETIC, *real], arguments.tries):
-        print(row, flush=True)
+    clips = [Clip.of(address) for address in [*SYNTHETIC, RING, *real]]
+    print('| map of | tries | found in 1 s | after s | wrong | alike | wrong | foreign | wrong |')
+    print('|---|---|---|---|---|---|---|---|---|')
+    for clip in clips:
+        if any(part in clip.name for part in arguments.maps):
+            print(row(clip, clips), flush=True)
 
 
 if __name__ == '__main__':

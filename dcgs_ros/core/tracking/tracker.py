@@ -20,26 +20,25 @@ from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
 from .claims import Claim, Clocks, PoseClaims
 from .corners import spread
 from .depth_bias import DepthBias
-from .estimator import Estimate, Memory, RegisteredFrame, estimate, sample, to_grey
-from .factors import PointFactors
+from .estimator import Estimate, Memory, RegisteredFrame, estimate, to_grey
 from .gaussian_map import GaussianMap
 from .hosting import Hosts, hosts_of
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
 from .observability import observability
-from .registration import DepthTerm, Registration
-from .relocalization import Recogniser, Relocalizer
+from .registration import Registration
+from .relocalization import Recogniser
 from .result import Reference, TrackingState, TrackResult
+from .search import Search
 from .standstill import Standstill
 from .uncertainty import PoseUncertainty
-from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigmas, weigh
+from .verification import Evidence, Usual, is_repetition, weigh
 from .visited import UNKNOWN, Visited, origin
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
 _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
 _AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move, or be noise
-_SEARCH_STEP_S = 0.2  # that a frame counts for at most in a search
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
 
@@ -77,9 +76,9 @@ class Tracker:
         self._standstill: Standstill | None = None  # while images repeat, and may
         self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
-        self._relocalizer: Relocalizer | None = None  # while the camera's place is not known
-        self._search_ns = 0  # stamp of the last frame in which the camera was looked for
-        self._searched_s = 0.0  # by frames that found no place
+        self._search: Search | None = None  # while the camera's place is not known
+        self._trial: Tracker | None = None  # in what may become a sub-map
+        self._agreed = 0  # frames that were tracked well in it
         self.revision = 0  # of the last correction
         self.recogniser: Recogniser | None = None  # of places by appearance; may be set
         self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
@@ -102,23 +101,23 @@ class Tracker:
         if repeated:
             return self._repeated(frame)
         self._standstill = None
-        if self._relocalizer is None and self._memory.motion.is_gap(frame.stamp_ns):
+        if self._search is None and self._memory.motion.is_gap(frame.stamp_ns):
             self._lose()
-        if self._relocalizer is not None:
-            return self._search(frame, self._relocalizer)
+        if self._search is not None:
+            return self._sought(frame, self._search)
         if self._first is not None:
             self._place_first(self._first, frame)
         found = estimate(frame, self._memory, self.gaussians, self.camera, self._config)
         guesses = [found.registered.T_world_cam]
         if not found.is_trusted(self._config):
-            return self._search(frame, self._lose(), guesses)
+            return self._sought(frame, self._lose(), guesses)
         uncertainty = self._claims.uncertainty(found.registration)
         evidence = weigh(
             found, self._memory, self._usual, self._claims.in_doubt(uncertainty, self._clocks),
             self.gaussians, self.camera, self._config,
         )  # fmt: skip
         if evidence.contradicts:
-            return self._search(frame, self._lose(), guesses)
+            return self._sought(frame, self._lose(), guesses)
         last = self._memory.last
         self._accept(found, evidence)
         claim = self._claim(found, uncertainty)
@@ -213,8 +212,8 @@ class Tracker:
         self._held = [keyframe.moved(here) for keyframe in self._held]
         self._memory = self._memory.moved(motions, here)
         self._claims.move(here)
-        if self._relocalizer is not None:
-            self._relocalizer.move(self.T_world_cam, self._unrecognisable())
+        if self._search is not None:
+            self._search.move(self.T_world_cam, self.recogniser)
 
     def interrupt(self) -> None:
         """Forget what holds from frame to frame: stamps may start anew, the camera be elsewhere.
@@ -284,20 +283,22 @@ class Tracker:
     @property
     def searching(self) -> bool:
         """Whether the camera's place in the map is still looked for."""
-        return self._relocalizer is not None
+        return self._search is not None
 
     @property
     def landmarks(self) -> Landmarks:
         """Landmarks alive, where they are in the last image and in the world."""
         return self._memory.landmarks
 
-    def _lose(self) -> Relocalizer:
+    def _lose(self) -> Search:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
-        self._first = None
+        self._first = self._trial = None
+        self._agreed = 0
         self._memory = self._forgotten(self._memory.motion)
-        self._relocalizer = Relocalizer(self.T_world_cam, self._unrecognisable(), self._usual)
-        self._searched_s, self._search_ns = 0.0, self._memory.motion.stamp_ns
-        return self._relocalizer
+        self._search = Search(
+            self.camera, self._memory.motion, self._visited, self._usual, self.recogniser
+        )
+        return self._search
 
     def _check(self, frame: RgbdFrame) -> None:
         height, width = frame.depth_m.shape
@@ -381,36 +382,49 @@ class Tracker:
             grey = memory.last.grey
             self._held = [self._start_map(first, grey, self.T_world_cam, motion.twist)]
 
-    def _search(
-        self,
-        frame: RgbdFrame,
-        relocalizer: Relocalizer,
-        guesses: Sequence[NDArray[np.float64]] = (),
+    def _sought(
+        self, frame: RgbdFrame, search: Search, guesses: Sequence[NDArray[np.float64]] = ()
     ) -> TrackResult:
         """Look for the camera in the map; after a while in unknown surroundings begin a sub-map.
 
         It is not joined to the others: where they are from each other is not known.
         """
-        before_ns = self._search_ns
-        self._search_ns = frame.stamp_ns
-        result = self._relocalize(frame, relocalizer, guesses)
-        if result.state is not TrackingState.LOST:
-            return result
-        self._searched_s += min((frame.stamp_ns - before_ns) * 1e-9, _SEARCH_STEP_S)
-        limit_s = None if self.localize_only else self._config.keyframes.new_submap_s
-        enough = result.points >= 2 * self._config.registration.min_pairs
-        if limit_s is None or self._searched_s < limit_s or not enough:
-            return result
-        return self._begin_submap(frame)
+        config = self._config
+        sought = search.find(
+            frame, self._memory, self.gaussians, self._claims, self._clocks, self.recogniser,
+            config, guesses,
+        )  # fmt: skip
+        found = sought.estimate
+        if sought.uncertainty is not None:
+            return self._found_again(found, sought.uncertainty)
+        limit_s = None if self.localize_only else config.keyframes.new_submap_s
+        enough = len(found.registration.depth.points) >= 2 * config.registration.min_pairs
+        if limit_s is None or search.seconds < limit_s or not enough:
+            return self._lost(frame, found.registration)
+        twist = self._tried(frame)
+        if twist is None:
+            return self._lost(frame, found.registration)
+        return self._begin_submap(frame, twist)
 
-    def _begin_submap(self, frame: RgbdFrame) -> TrackResult:
+    def _tried(self, frame: RgbdFrame) -> NDArray[np.float64] | None:
+        """Track the frame in a map of the last few alone; return its twist (6,) if all hold there.
+
+        A sub-map of one frame might be of a covered lens, or of depth that is none.
+        """
+        trial = self._trial = self._trial or Tracker(self.camera, self.config)
+        self._agreed += 1
+        if trial.track(frame).state is not TrackingState.OK:
+            self._trial, self._agreed = None, 0
+        return trial._memory.motion.twist if self._agreed > _CONFIRMATIONS else None
+
+    def _begin_submap(self, frame: RgbdFrame, twist: NDArray[np.float64]) -> TrackResult:
         """Begin a sub-map where the camera was last, for want of a better place."""
         submap = max(self._visited.submaps) + 1
         T = self.T_world_cam.copy()
         T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
-        self._relocalizer, self._usual = None, Usual()
+        self._search, self._trial, self._usual = None, None, Usual()
         claim = Claim(np.zeros((6, 6)), UNKNOWN, Hosts.none(), submap)
-        keyframe = self._start_submap(frame, to_grey(frame.color), T, np.zeros(6), claim)
+        keyframe = self._start_submap(frame, to_grey(frame.color), T, twist, claim)
         self._held.append(keyframe)
         return TrackResult(
             frame.stamp_ns, T, np.eye(4), claim.covariance, claim.in_world, TrackingState.OK, None,
@@ -418,68 +432,20 @@ class Tracker:
             1e3 * self._offset.seconds, self._reference(T),
         )  # fmt: skip
 
-    def _relocalize(
-        self,
-        frame: RgbdFrame,
-        relocalizer: Relocalizer,
-        guesses: Sequence[NDArray[np.float64]] = (),
-    ) -> TrackResult:
-        """Try a few of the places where the camera may be; go on from one that explains enough."""
-        config = self._config
-        cloud = sample(frame, self.camera, config, config.cloud.stride_px, np.zeros(6))
-        depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
-        motion = self._memory.motion
-        if not motion.is_gap(frame.stamp_ns):
-            guesses = [*guesses, motion.predict(frame.stamp_ns)]
-        places = self._recognised(frame) if relocalizer.wants_places else []
-        best = relocalizer.best(depth, config, guesses, places)
-        T = best.T_world_cam
-        grey = to_grey(frame.color)
-        registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
-        found = Estimate(registered, best, Landmarks.none(), None, True)
-        agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
-        if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
-            return self._lost(frame, best)
-        claims, uncertainty = self._claims, self._claims.uncertainty(best)
-        spectrum = observability(best.equations.H, uncertainty.information)
-        if claims.is_degenerate(spectrum, claims.measured(uncertainty, self._clocks)):
-            return self._lost(frame, best)  # it may be anywhere along that direction
-        doubt = claims.in_doubt(uncertainty, self._clocks)
-        jump = jump_sigmas(T, motion.prior(frame.stamp_ns), doubt)
-        if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
-            return self._lost(frame, best)  # it cannot have got there
-        self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
+    def _found_again(self, found: Estimate, uncertainty: PoseUncertainty) -> TrackResult:
+        """Go on from where the camera was found, which the next frames have to confirm."""
+        registered, best = found.registered, found.registration
+        T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
+        self._search, self._trial, self._unconfirmed = None, None, _CONFIRMATIONS
         self._host = int(np.bincount(best.hosts).argmax())
         self._memory = replace(
-            self._forgotten(ConstantVelocity.at_rest(T, frame.stamp_ns)),
+            self._forgotten(ConstantVelocity.at_rest(T, stamp_ns)),
             last=registered, image=registered, overlap=best.overlap,
         )  # fmt: skip
-        claims.forget()
+        self._claims.forget()
         self._anchor_landmarks(registered)
-        self._policy.took(T, frame.stamp_ns, len(self.landmarks))
+        self._policy.took(T, stamp_ns, len(self.landmarks))
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
-
-    def _unrecognisable(self) -> list[NDArray[np.float64]]:
-        """Return the poses (4, 4) of the keyframes whose places are not known by appearance.
-
-        There the camera is looked for by depth alone, which takes one doorway for the next. Where
-        a place is known, what it looks like has to agree.
-        """
-        known = self.recogniser
-        return [
-            T for k, T in enumerate(self._visited.poses) if known is None or not known.knows(k)
-        ]
-
-    def _recognised(self, frame: RgbdFrame) -> list[tuple[NDArray[np.float64], PointFactors]]:
-        """Return where a frame may have been taken by what it shows, and what speaks for it."""
-        if self.recogniser is None:
-            return []
-        focal, sensor, poses = self.camera.focal, self._config.sensor, self._visited.poses
-        return [
-            (poses[one.keyframe] @ one.T_keyframe_cam,
-             one.factors(poses[one.keyframe], focal, sensor))
-            for one in self.recogniser.recognise(frame)
-        ]  # fmt: skip
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
         """Report the last good pose; the next frame goes on from the last good one too."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any, cast
@@ -161,6 +162,21 @@ def test_depth_alone_finds_no_place_that_is_known_by_its_looks(known: bool) -> N
     assert places.asked > 0 or not known
 
 
+@pytest.mark.parametrize(('known', 'gap_s'), [(True, 0.0), (True, 1.0), (False, 1.0)])
+def test_after_a_gap_a_room_of_the_same_shape_is_not_taken_for_a_known_one(
+    known: bool, gap_s: float
+) -> None:
+    """Where the last pose fits, depth alone says so too; a moment later it is still the room."""
+    frames, tracker = frames_of(ROOM), tracker_for()
+    for frame in frames[:12]:
+        tracker.track(frame)
+    tracker.recogniser = KnowsPlaces(known)
+    later = _on(frames[12:15], frames[11].stamp_ns + 33_000_000 + round(gap_s * 1e9))
+    tracker._lose()
+    states = [tracker.track(frame).state for frame in later]
+    assert (TrackingState.RELOCALISED in states) is not (known and gap_s > 0.5)
+
+
 def test_what_a_frame_is_relative_to_its_keyframe_survives_corrections() -> None:
     frames, tracker = frames_of(ROOM), tracker_for()
     results = [tracker.track(frame) for frame in frames[:14]]
@@ -285,7 +301,7 @@ def test_in_unknown_surroundings_a_sub_map_begins_after_a_while() -> None:
     here, there = _into_the_unknown(tracker)
     states = [result.state for result in there]
     begin = next(k for k, state in enumerate(states) if state is not TrackingState.LOST)
-    assert 5 <= begin <= 7, states  # the gap counts as 0.2 s
+    assert 10 <= begin <= 12, states  # the gap counts as 0.2 s, and five frames have to confirm
     first, last = there[begin].reference, there[-1].reference
     assert first is not None and last is not None and first.submap == last.submap == 1
     assert there[begin].keyframe and there[-1].state is not TrackingState.LOST
@@ -296,6 +312,35 @@ def test_in_unknown_surroundings_a_sub_map_begins_after_a_while() -> None:
     np.testing.assert_allclose(apart, origin(1), atol=1e-9)
     ids = [i for r in [*here, *there] for keyframe in r.keyframes for i in keyframe.ids]
     assert len(ids) == len(set(ids)) == len(tracker.gaussians)  # nothing of the first is lost
+
+
+def _garbage(frame: RgbdFrame) -> RgbdFrame:
+    rng = np.random.default_rng(frame.stamp_ns)
+    return replace(frame, depth_m=rng.uniform(0.5, 4.0, frame.depth_m.shape).astype(np.float32))
+
+
+def _covered(frame: RgbdFrame) -> RgbdFrame:
+    """Something close and flat, not quite at rest."""
+    depth_m = np.full_like(frame.depth_m, 0.5 + 1e-3 * (frame.stamp_ns // 33_000_000 % 3))
+    return replace(frame, depth_m=depth_m, color=np.full_like(frame.color, 30))
+
+
+@pytest.mark.parametrize('spoilt', [_garbage, _covered])
+def test_a_frame_that_no_other_confirms_begins_no_sub_map(
+    spoilt: Callable[[RgbdFrame], RgbdFrame],
+) -> None:
+    """Nor do many; what follows after them begins one, and only with frames of its own."""
+    tracker, frames = tracker_for(**{'keyframes.new_submap_s': 0.2}), frames_of(ROOM)
+    for frame in frames[:6]:
+        tracker.track(frame)
+    count, size = tracker.keyframes, len(tracker.gaussians)
+    there = _on(frames_of(ELSEWHERE), frames[5].stamp_ns + 10**9)
+    lost = [tracker.track(spoilt(frame)) for frame in there[:8]]
+    assert all(result.state is TrackingState.LOST for result in lost)
+    after = [tracker.track(frame) for frame in there[8:15]]
+    begun = [result.keyframe for result in after]
+    assert begun.index(True) in (5, 6), begun
+    assert tracker.keyframes == count + 1 and len(tracker.gaussians) > size
 
 
 def test_a_correction_joins_sub_maps() -> None:

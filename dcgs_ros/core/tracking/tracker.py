@@ -32,7 +32,7 @@ from .relocalization import Recogniser, Relocalizer
 from .result import Reference, TrackingState, TrackResult
 from .standstill import Standstill
 from .uncertainty import PoseUncertainty
-from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, jump_sigmas, weigh
+from .verification import JUMP_SIGMAS, Evidence, Usual, is_repetition, weigh
 from .visited import UNKNOWN, Visited, origin
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
@@ -435,7 +435,8 @@ class Tracker:
         T = best.T_world_cam
         grey = to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
-        found = Estimate(registered, best, Landmarks.none(), None, True)
+        prior = motion.prior(frame.stamp_ns)
+        found = Estimate(registered, best, Landmarks.none(), None, True, prior)
         agreement = self.gaussians.agreement(T, frame.depth_m, self.camera, config.sensor)
         if not (found.is_trusted(config) and relocalizer.accepts(best, agreement)):
             return self._lost(frame, best)
@@ -444,7 +445,7 @@ class Tracker:
         if claims.is_degenerate(spectrum, claims.measured(uncertainty, self._clocks)):
             return self._lost(frame, best)  # it may be anywhere along that direction
         doubt = claims.in_doubt(uncertainty, self._clocks)
-        jump = jump_sigmas(T, motion.prior(frame.stamp_ns), doubt)
+        jump = prior.sigmas_to(T, doubt)
         if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
             return self._lost(frame, best)  # it cannot have got there
         self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
@@ -500,11 +501,10 @@ class Tracker:
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         if found.image is not None:  # depth and image, each alone, tell the offset between them
-            agreeing = found.image[found.image.chi2(T) < _AGREEING_CHI2]
+            agreeing = found.image[found.image_chi2 < _AGREEING_CHI2]
             image = agreeing.across_rays().normal_equations(T)
-            twist = memory.motion.arriving(T, stamp_ns).twist_after(memory.lag_s(registered.frame))
             dt_s = (stamp_ns - memory.motion.stamp_ns) * 1e-9
-            self._offset.observe(result.sharp_depth, image, twist, dt_s)
+            self._offset.observe(result.sharp_depth, image, registered.twist_at_depth, dt_s)
         self._memory = Memory(
             memory.motion.advanced(T, stamp_ns), self._offset.seconds, registered,
             registered if found.fresh else memory.image,

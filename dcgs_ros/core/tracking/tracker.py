@@ -150,7 +150,7 @@ class Tracker:
             stamp_ns, T, np.eye(4), covariance, in_world,
             TrackingState.RELOCALISED if self._unconfirmed else state, None, 0, 0,
             len(self.landmarks), False, self.flush(), 1e3 * self._offset.seconds,
-            self._reference(T),
+            self._reference(T), limit.motion_covariance,
         )  # fmt: skip
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
@@ -599,6 +599,7 @@ class Tracker:
             claim.covariance, claim.in_world, state, spectrum, len(result.depth.points),
             result.inliers, len(self.landmarks), keyframe, self.flush(),
             1e3 * self._offset.seconds, self._reference(registered.T_world_cam),
+            self._claims.of_motion(self._clocks),
         )  # fmt: skip
 
     def _reference(self, T_world_cam: NDArray[np.float64]) -> Reference | None:

@@ -171,12 +171,12 @@ def result_at(
     """Return a result that claims a centimetre in the map around it, and ten in the world."""
     return TrackResult(
         stamp_ns, T_world_cam, np.eye(4), 1e-4 * np.eye(6), 1e-2 * np.eye(6), state, None, 0, 0,
-        0, False, (), 0.0,
+        0, False, (), 0.0, None, 2e-4 * np.eye(6),
     )  # fmt: skip
 
 
 def test_the_pose_claims_what_the_map_adds_and_odometry_only_its_drift(make: Make) -> None:
-    """What the map adds in the world is in both poses that a velocity is between."""
+    """What the map adds in the world is not in the motion that a velocity is of."""
     outputs, sent = make(TrackerNode, '-p', 'node.tf:=none')._outputs, list[Any]()
     outputs._odometry = SimpleNamespace(publish=sent.append)
     placed: list[Any] = []

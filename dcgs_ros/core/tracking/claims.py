@@ -99,8 +99,20 @@ class PoseClaims:
             self.limit = MotionLimit.begun(measured, T_world_cam, stamp_ns)
         else:
             self.limit = self.limit.updated(measured, T_world_cam, stamp_ns)
+        return self.limit.covariance + self._late(clocks)
+
+    def of_motion(self, clocks: Clocks) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of the motion that ended with the last `advance`.
+
+        In the camera frame there; both stamps are uncertain.
+        """
+        assert self.limit is not None
+        return self.limit.motion_covariance + 2.0 * self._late(clocks)
+
+    def _late(self, clocks: Clocks) -> NDArray[np.float64]:
+        """Return what an uncertain stamp adds to the covariance (6, 6) of a pose."""
         late = 1e-3 * self.config.sensor.stamp_ms * clocks.twist
-        return self.limit.covariance + np.outer(late, late)
+        return np.outer(late, late)
 
     def stays_degenerate(self, spectrum: Observability) -> bool:
         """Return whether the frame that was last taken is degenerate, given the frame before.

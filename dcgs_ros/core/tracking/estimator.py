@@ -8,12 +8,12 @@ Nothing is stored on the way: an estimate that is not believed is dropped as a w
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
@@ -38,6 +38,16 @@ class RegisteredFrame(PosedFrame):
     """A frame with its pose, its grey image, where KLT goes on from, and its motion."""
 
     grey: NDArray[np.uint8]  # (H, W)
+    twist: NDArray[np.float64]  # (6,) per second, camera frame, at colour's instant
+    twist_at_depth: NDArray[np.float64]  # (6,) the same at depth's
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A pose at which a frame may have been taken, and the motion there."""
+
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+    T_cam_cam_at_depth: NDArray[np.float64]  # (4, 4) camera at the depth's instant to colour's
     twist: NDArray[np.float64]  # (6,) per second, camera frame, at colour's instant
     twist_at_depth: NDArray[np.float64]  # (6,) the same at depth's
 
@@ -68,19 +78,12 @@ class Memory:
         """Return how long after the colour's the depth's instant is, seconds."""
         return (frame.depth_stamp_ns - frame.stamp_ns) * 1e-9 + self.offset_s
 
-    def depth_motion(
-        self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return T_cam_cam_at_depth (4, 4) of a frame whose colour was taken at `T_world_cam`."""
-        motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
-        return motion.pose_after(self.lag_s(frame))
-
-    def depth_twist(
-        self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the camera's twist (6,) per second at the depth's instant of such a frame."""
-        motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
-        return motion.twist_after(self.lag_s(frame))
+    def arrival(self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]) -> Arrival:
+        """Return the motion within a frame whose colour was taken at `T_world_cam` (4, 4)."""
+        motion, lag_s = self.motion.arriving(T_world_cam, frame.stamp_ns), self.lag_s(frame)
+        return Arrival(
+            T_world_cam, motion.pose_after(lag_s), motion.twist, motion.twist_after(lag_s)
+        )
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,7 @@ class Estimate:
     landmarks: Landmarks  # those followed into the frame
     image: PointFactors | None  # their measurements, though they be too few for the pose
     fresh: bool  # whether its colour image is another than the last one's
+    prior: PosePrior  # where it was expected
 
     def is_trusted(self, config: Config) -> bool:
         """Return whether it has enough factors of one kind, and a finite system."""
@@ -105,11 +109,18 @@ class Estimate:
         """Return whether depth has points enough to speak for or against the pose."""
         return len(self.registration.depth.points) >= config.registration.min_pairs
 
+    @cached_property
+    def image_chi2(self) -> NDArray[np.float64]:
+        """(L,) squared Mahalanobis distances of the measured landmarks, at the pose."""
+        if self.image is None:
+            return np.empty(0)
+        return self.image.chi2(self.registered.T_world_cam)
+
     def consistent_landmarks(self, max_chi2: float) -> Landmarks:
         """Return the landmarks that do not contradict the pose: a moving corner does."""
         if self.image is None:
             return self.landmarks
-        return self.landmarks[self.image.chi2(self.registered.T_world_cam) < max_chi2]
+        return self.landmarks[self.image_chi2 < max_chi2]
 
 
 def estimate(
@@ -124,47 +135,43 @@ def estimate(
 
     # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
     landmarks = _followed(grey, memory, prior, camera, config) if fresh else memory.landmarks
-    T = prior.T_world_cam
-    measured = _measured(landmarks, frame, memory, T, camera, config) if fresh else None
+    expected = memory.arrival(frame, prior.T_world_cam)
+    measured = _measured(landmarks, frame, expected, camera, config) if fresh else None
     image = measured if len(landmarks) >= config.landmarks.min_factors else None
 
     # The landmarks alone give a start, where there are enough, and the motion within the frame.
-    start = _start(frame, memory, prior, image, config)
+    start = _start(frame, memory, expected, prior, image, config)
     if image is not None and config.sensor.color_readout_ms > 0.0:
-        T = start.T_world_cam
-        measured = image = _measured(landmarks, frame, memory, T, camera, config)
+        measured = image = _measured(landmarks, frame, start.arrival, camera, config)
 
     # III-B, III-C and III-E: the depth residual, and joint Levenberg-Marquardt with the landmarks.
     def registered_from(start: _Start, image: PointFactors | None) -> Registration:
-        depth = _depth_term(frame, memory, gaussians, camera, config, start)
+        depth = _depth_term(frame, gaussians, camera, config, start)
         moved = None if config.shares_covariance else prior  # a metric term among others
-        return register(start.T_world_cam, depth, image, config, start.search_m, moved)
+        T = start.arrival.T_world_cam
+        return register(T, depth, image, config, start.search_m, moved)
 
     found = registered_from(start, image)
     if image is not None and _misled(found, prior, memory):
-        alone = registered_from(_start(frame, memory, prior, None, config), None)
+        alone = registered_from(_start(frame, memory, expected, prior, None, config), None)
         fits = alone.overlap > _CLEARLY * found.overlap  # on a plane depth fits anywhere
-        if fits and _jump(alone, prior) < _jump(found, prior):
-            found = replace(alone, image=image)
+        jumps = [prior.sigmas_to(one.T_world_cam) for one in (alone, found)]
+        if fits and jumps[0] < jumps[1]:
+            found = alone.beside(image)
 
-    T = found.T_world_cam
-    motion, lag_s = memory.motion.arriving(T, frame.stamp_ns), memory.lag_s(frame)
+    there = memory.arrival(frame, found.T_world_cam)
     registered = RegisteredFrame(
-        frame, T, motion.pose_after(lag_s), grey, motion.twist, motion.twist_after(lag_s)
-    )
-    return Estimate(registered, found, landmarks, measured, fresh)
-
-
-def _jump(found: Registration, prior: PosePrior) -> float:
-    """Return how far a pose is from the predicted one, standard deviations of a hand's motion."""
-    xi = se3.log(se3.inverse(prior.T_world_cam) @ found.T_world_cam)
-    sigmas = np.linalg.norm(xi[:3]) / prior.sigma_m, np.linalg.norm(xi[3:]) / prior.sigma_rad
-    return float(max(sigmas))
+        frame, there.T_world_cam, there.T_cam_cam_at_depth, grey, there.twist,
+        there.twist_at_depth,
+    )  # fmt: skip
+    return Estimate(registered, found, landmarks, measured, fresh, prior)
 
 
 def _misled(found: Registration, prior: PosePrior, memory: Memory) -> bool:
     """Return whether landmarks may have pulled the pose away from what depth says."""
-    return found.overlap < _SUSPICIOUS * memory.overlap or _jump(found, prior) > _FAR_SIGMAS
+    if found.overlap < _SUSPICIOUS * memory.overlap:
+        return True
+    return prior.sigmas_to(found.T_world_cam) > _FAR_SIGMAS
 
 
 def to_grey(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -208,35 +215,32 @@ def _followed(
 def _measured(
     landmarks: Landmarks,
     frame: RgbdFrame,
-    memory: Memory,
-    T_world_cam: NDArray[np.float64],  # (4, 4) roughly
+    roughly: Arrival,
     camera: PinholeCamera,
     config: Config,
 ) -> PointFactors | None:
     """Return the factors of the landmarks, if there are enough to tell anything."""
     if len(landmarks) < _FEWEST:
         return None
-    T, twist = T_world_cam, memory.motion.arriving(T_world_cam, frame.stamp_ns).twist
     weight = config.shared_klt_weight if config.ablation == 'shared_klt' else 1.0
     return landmarks.measured(
-        frame.depth_m, T, memory.depth_motion(frame, T), twist, camera, config.sensor,
-        config.landmarks, weight,
+        frame.depth_m, roughly.T_world_cam, roughly.T_cam_cam_at_depth, roughly.twist, camera,
+        config.sensor, config.landmarks, weight,
     )  # fmt: skip
 
 
 def _depth_term(
     frame: RgbdFrame,
-    memory: Memory,
     gaussians: GaussianMap,
     camera: PinholeCamera,
     config: Config,
     start: _Start,
 ) -> DepthTerm:
     """Sample a_i, n_i and D_i at colour's instant, as the start says that the camera moves."""
-    T = start.T_world_cam
-    cloud = sample(
-        frame, camera, config, config.cloud.stride_px, memory.depth_twist(frame, T)
-    ).moved(memory.depth_motion(frame, T))
+    there = start.arrival
+    cloud = sample(frame, camera, config, config.cloud.stride_px, there.twist_at_depth).moved(
+        there.T_cam_cam_at_depth
+    )
     return DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
 
 
@@ -244,7 +248,7 @@ def _depth_term(
 class _Start:
     """Where the joint registration begins."""
 
-    T_world_cam: NDArray[np.float64]  # (4, 4)
+    arrival: Arrival
     search_m: float  # how far the first association looks
     Q: NDArray[np.float64] | None  # (6, 6) of the motion between depth's and colour's instants
 
@@ -252,6 +256,7 @@ class _Start:
 def _start(
     frame: RgbdFrame,
     memory: Memory,
+    expected: Arrival,
     prior: PosePrior,
     image: PointFactors | None,
     config: Config,
@@ -267,6 +272,7 @@ def _start(
     """
     settings = config.registration
     if image is None:
-        return _Start(prior.T_world_cam, settings.guess_radius_m, None)
+        return _Start(expected, settings.guess_radius_m, None)
     Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
-    return _Start(start_from_landmarks(prior, image), settings.radius_m, Q)
+    T = start_from_landmarks(prior, image)
+    return _Start(memory.arrival(frame, T), settings.radius_m, Q)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from ..kernels.jit import kernel
+from ..kernels.jit import inlined, kernel
 from ..kernels.small_matrix import inverse_symmetric, solve
 from ..sensor import SensorNoise
 
@@ -133,6 +133,16 @@ class PosePrior:
     sigma_m: float
     sigma_rad: float
 
+    def sigmas_to(
+        self, T_world_cam: NDArray[np.float64], uncertain: NDArray[np.float64] | None = None
+    ) -> float:
+        """Return the Mahalanobis distance of a pose (4, 4) that is `uncertain` (6, 6) as well."""
+        xi = se3.log(se3.inverse(self.T_world_cam) @ T_world_cam)
+        covariance = np.diag(np.repeat([self.sigma_m**2, self.sigma_rad**2], 3))
+        if uncertain is not None:
+            covariance += uncertain
+        return math.sqrt(xi @ np.linalg.solve(covariance, xi))
+
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
         """Return the term of the residual log(T^-1 T_prior), with the identity as Jacobian."""
         residual = se3.log(se3.inverse(T_world_cam) @ self.T_world_cam)
@@ -250,14 +260,8 @@ def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total
         u0 = r00 * ux + r10 * uy + r20 * uz
         u1 = r01 * ux + r11 * uy + r21 * uz
         u2 = r02 * ux + r12 * uy + r22 * uz
-        p, k = perp[i], along[i] - perp[i]
-        m00, m01, m02, m11, m12, m22 = inverse_symmetric(
-            covariances[i, 0] + p + k * u0 * u0,
-            covariances[i, 1] + k * u0 * u1,
-            covariances[i, 2] + k * u0 * u2,
-            covariances[i, 3] + p + k * u1 * u1,
-            covariances[i, 4] + k * u1 * u2,
-            covariances[i, 5] + p + k * u2 * u2,
+        m00, m01, m02, m11, m12, m22 = _inverse_of_sum(
+            covariances[i], u0, u1, u2, perp[i], along[i]
         )
         square = (
             e0 * (m00 * e0 + 2.0 * (m01 * e1 + m02 * e2))
@@ -309,22 +313,28 @@ def _accumulate(points, covariances, targets, axes, perp, along, T, huber, total
             total[a, b] = sums[a][b]
 
 
-@kernel
-def information(c, axis, perp, along, T):
-    """Return Omega^-1 of a pair in the camera frame: xx, xy, xz, yy, yz, zz.
-
-    `c` D (6,); `axis` (3,) world, `perp`, `along` of `Targets`; `T` (4, 4) T_world_cam. The loop
-    of `_accumulate` keeps T in registers instead, and does not call this.
-    """
-    x, y, z = axis[0], axis[1], axis[2]
-    u0 = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
-    u1 = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
-    u2 = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+@inlined
+def _inverse_of_sum(c, u0, u1, u2, perp, along):
+    """Return (D + perp (I - u u^T) + along u u^T)^-1: xx, xy, xz, yy, yz, zz; `c` D (6,)."""
     k = along - perp
     return inverse_symmetric(
         c[0] + perp + k * u0 * u0, c[1] + k * u0 * u1, c[2] + k * u0 * u2,
         c[3] + perp + k * u1 * u1, c[4] + k * u1 * u2, c[5] + perp + k * u2 * u2,
     )  # fmt: skip
+
+
+@kernel
+def information(c, axis, perp, along, T):
+    """Return Omega^-1 of a pair in the camera frame: xx, xy, xz, yy, yz, zz.
+
+    `c` D (6,); `axis` (3,) world, `perp`, `along` of `Targets`; `T` (4, 4) T_world_cam, which
+    `_accumulate` keeps in registers instead.
+    """
+    x, y, z = axis[0], axis[1], axis[2]
+    u0 = T[0, 0] * x + T[1, 0] * y + T[2, 0] * z
+    u1 = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
+    u2 = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
+    return _inverse_of_sum(c, u0, u1, u2, perp, along)
 
 
 @kernel

@@ -54,6 +54,7 @@ class MotionLimit:
     T_world_cam: NDArray[np.float64]  # (4, 4)
     stamp_ns: int
     joint: NDArray[np.float64]  # (12, 12) covariance of the pose and of its twist per second
+    motion_covariance: NDArray[np.float64]  # (6, 6) of the motion since the last pose, if any
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -65,9 +66,9 @@ class MotionLimit:
         cls, measured: NDArray[np.float64], T_world_cam: NDArray[np.float64], stamp_ns: int
     ) -> MotionLimit:
         """Begin at a pose (4, 4) with the covariance `measured` (6, 6), at any velocity."""
-        zero = np.zeros((6, 6))
-        joint = np.block([[surer(measured, _ANY), zero], [zero, _ANY]])
-        return cls(T_world_cam, stamp_ns, joint)
+        zero, known = np.zeros((6, 6)), surer(measured, _ANY)
+        joint = np.block([[known, zero], [zero, _ANY]])
+        return cls(T_world_cam, stamp_ns, joint, known)
 
     def updated(
         self, measured: NDArray[np.float64], T_world_cam: NDArray[np.float64], stamp_ns: int
@@ -78,19 +79,43 @@ class MotionLimit:
         combined, because the estimate is not either. What that tells of the pose tells of the
         velocity too: joint' = joint + G (P' - P) G^T with the gain G = joint[:, pose] P^-1.
         """
-        predicted = self._predicted(T_world_cam, stamp_ns)
+        Ad = se3.adjoint(se3.inverse(T_world_cam) @ self.T_world_cam)
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        predicted = self._predicted(Ad, dt)
         before = predicted[:6, :6]
         bounded = before if np.trace(before) < 1.0 else surer(before, _ANY)
-        known = surer(measured, bounded)
+        half, ratios = _common_axes(measured, bounded)
+        known = (half * np.minimum(ratios, 1.0)) @ half.T
         gain = np.linalg.solve(before + _FLOOR, predicted[:6]).T
         joint = predicted + gain @ (known - before) @ gain.T
         joint[:6, :6] = known
-        return MotionLimit(T_world_cam, stamp_ns, 0.5 * (joint + joint.T))
+        held = (half * (ratios < 1.0)) @ np.linalg.inv(half)
+        motion = self._motion(measured, held, Ad, dt)
+        return MotionLimit(T_world_cam, stamp_ns, 0.5 * (joint + joint.T), motion)
 
-    def _predicted(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> NDArray[np.float64]:
-        """Return the joint covariance (12, 12) at a later pose, before its measurement."""
-        dt = (stamp_ns - self.stamp_ns) * 1e-9
-        Ad = se3.adjoint(se3.inverse(T_world_cam) @ self.T_world_cam)
+    def _motion(
+        self,
+        measured: NDArray[np.float64],
+        held: NDArray[np.float64],
+        Ad: NDArray[np.float64],
+        dt: float,
+    ) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of the motion since the last pose.
+
+        Along what the frame holds, which the projection `held` (6, 6) keeps, it is the difference
+        of two measured poses, whose errors are taken as independent. Along the rest the pose goes
+        on at constant velocity: there the error of the last one is in both.
+        """
+        both = Ad @ self.covariance @ Ad.T + measured
+        coasted = dt**2 * Ad @ self.joint[6:, 6:] @ Ad.T + 0.25 * dt**4 * _ACCELERATION2
+        rest = np.eye(6) - held
+        return np.asarray(held @ both @ held.T + rest @ coasted @ rest.T)
+
+    def _predicted(self, Ad: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+        """Return the joint covariance (12, 12) `dt` seconds later, before the measurement there.
+
+        `Ad` (6, 6) takes the last camera's axes to those of the pose there.
+        """
         F = np.block([[Ad, dt * Ad], [np.zeros((6, 6)), Ad]])
         kick = np.vstack([0.5 * dt * dt * np.eye(6), dt * np.eye(6)])
         return np.asarray(F @ self.joint @ F.T + kick @ _ACCELERATION2 @ kick.T)
@@ -101,11 +126,18 @@ def surer(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.fl
 
     Those are the axes in which both are diagonal. The result is below both.
     """
+    half, ratios = _common_axes(one, other)
+    return np.asarray((half * np.minimum(ratios, 1.0)) @ half.T)
+
+
+def _common_axes(
+    one: NDArray[np.float64], other: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return A (6, 6) and r (6,) with A A^T the `other` covariance and A diag(r) A^T the one."""
     root = np.linalg.cholesky(other + _FLOOR)
     white = np.linalg.solve(root, np.linalg.solve(root, one).T)
     ratios, axes = np.linalg.eigh(0.5 * (white + white.T))
-    half = root @ axes
-    return np.asarray((half * np.minimum(ratios, 1.0)) @ half.T)
+    return root @ axes, ratios
 
 
 class KeyframeChain:

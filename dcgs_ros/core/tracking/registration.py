@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,7 @@ class Registration:
     depth: PointFactors  # of the last association
     image: PointFactors | None
     equations: NormalEquations  # both terms, at T_world_cam
+    image_equations: NormalEquations | None  # of the landmarks alone
     sharp_depth: NormalEquations  # the depth term along the normals only
     inliers: int  # points with a match
     median_chi2: float  # of the depth factors; infinite where none has a match
@@ -104,6 +105,11 @@ class Registration:
         if self.image is not None and not self.inliers:
             hosts = self.image.targets.hosts
         return hosts[hosts >= 0]
+
+    def beside(self, image: PointFactors) -> Registration:
+        """Return it with landmarks that had no part in it, but tell how sure the pose is."""
+        by_image = image.normal_equations(self.T_world_cam)
+        return replace(self, image=image, image_equations=by_image)
 
 
 def descend(
@@ -170,11 +176,12 @@ def register(
     T = se3.orthonormalised(T)
     sharp_depth = pairs.along_normals(T)
     equations, chi2 = pairs.evaluated(T)
-    if image is not None:
-        equations = equations + image.normal_equations(T)
+    by_image = None if image is None else image.normal_equations(T)
+    if by_image is not None:
+        equations = equations + by_image
     chi2 = chi2[pairs.targets.perp >= 0]
     median = float(np.median(chi2)) if len(chi2) else np.inf
-    return Registration(T, pairs, image, equations, sharp_depth, len(chi2), median)
+    return Registration(T, pairs, image, equations, by_image, sharp_depth, len(chi2), median)
 
 
 def _summed(terms: Sequence[Factor], T: NDArray[np.float64]) -> NormalEquations:

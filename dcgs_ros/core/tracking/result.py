@@ -56,6 +56,9 @@ class TrackResult:
     keyframes: tuple[Keyframe, ...]  # finished with this frame: the first one with the second
     colour_depth_offset_ms: float
     reference: Reference | None = None  # None: there is no keyframe yet
+    # (6, 6) of the motion since the last frame that was tracked, in the camera frame of this one;
+    # None: not known.
+    motion_covariance: NDArray[np.floating] | None = None
 
     @property
     def submap(self) -> int:

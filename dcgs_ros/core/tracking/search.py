@@ -23,7 +23,7 @@ from .observability import observability
 from .registration import DepthTerm
 from .relocalization import Recogniser, Relocalizer
 from .uncertainty import PoseUncertainty
-from .verification import JUMP_SIGMAS, Usual, jump_sigmas
+from .verification import JUMP_SIGMAS, Usual
 from .visited import Visited
 
 _STEP_S = 0.2  # that a frame counts for at most in a search
@@ -100,7 +100,8 @@ class Search:
         best = self._relocalizer.best(depth, config, guesses, places)
         T, grey = best.T_world_cam, to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
-        return Estimate(registered, best, Landmarks.none(), None, True)
+        prior = motion.prior(frame.stamp_ns)
+        return Estimate(registered, best, Landmarks.none(), None, True, prior)
 
     def _holds(
         self,
@@ -123,7 +124,7 @@ class Search:
         if motion.is_gap(frame.stamp_ns):
             return True
         doubt = claims.in_doubt(uncertainty, clocks)
-        return jump_sigmas(T, motion.prior(frame.stamp_ns), doubt) <= JUMP_SIGMAS
+        return found.prior.sigmas_to(T, doubt) <= JUMP_SIGMAS
 
     def _looks_right(
         self, found: Estimate, motion: ConstantVelocity, recogniser: Recogniser | None

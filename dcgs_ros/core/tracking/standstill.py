@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .motion import ConstantVelocity
 from .propagation import MotionLimit
-from .verification import JUMP_SIGMAS, Usual, jump_sigmas
+from .verification import JUMP_SIGMAS, Usual
 
 _ANY = np.eye(6)  # 1 m, 1 rad: what nothing is known of
 
@@ -39,7 +39,7 @@ class Standstill:
         Before any frame was tracked it is not known whether they have.
         """
         known = usual.frames > 0
-        stop = jump_sigmas(motion.T_world_cam, motion.prior(stamp_ns), limit.covariance)
+        stop = motion.prior(stamp_ns).sigmas_to(motion.T_world_cam, limit.covariance)
         if (known and not usual.is_noise_free) or stop > JUMP_SIGMAS:
             return None
         return cls(limit.stamp_ns, motion.twist, limit.covariance, known)

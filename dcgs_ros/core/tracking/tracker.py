@@ -150,7 +150,7 @@ class Tracker:
             stamp_ns, T, np.eye(4), covariance, in_world,
             TrackingState.RELOCALISED if self._unconfirmed else state, None, 0, 0,
             len(self.landmarks), False, self.flush(), 1e3 * self._offset.seconds,
-            self._reference(T),
+            self._reference(T), limit.motion_covariance,
         )  # fmt: skip
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
@@ -467,11 +467,10 @@ class Tracker:
         memory, registered, result = self._memory, found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         if found.image is not None:  # depth and image, each alone, tell the offset between them
-            agreeing = found.image[found.image.chi2(T) < _AGREEING_CHI2]
+            agreeing = found.image[found.image_chi2 < _AGREEING_CHI2]
             image = agreeing.across_rays().normal_equations(T)
-            twist = memory.motion.arriving(T, stamp_ns).twist_after(memory.lag_s(registered.frame))
             dt_s = (stamp_ns - memory.motion.stamp_ns) * 1e-9
-            self._offset.observe(result.sharp_depth, image, twist, dt_s)
+            self._offset.observe(result.sharp_depth, image, registered.twist_at_depth, dt_s)
         self._memory = Memory(
             memory.motion.advanced(T, stamp_ns), self._offset.seconds, registered,
             registered if found.fresh else memory.image,
@@ -568,6 +567,7 @@ class Tracker:
             claim.covariance, claim.in_world, state, spectrum, len(result.depth.points),
             result.inliers, len(self.landmarks), keyframe, self.flush(),
             1e3 * self._offset.seconds, self._reference(registered.T_world_cam),
+            self._claims.of_motion(self._clocks),
         )  # fmt: skip
 
     def _reference(self, T_world_cam: NDArray[np.float64]) -> Reference | None:

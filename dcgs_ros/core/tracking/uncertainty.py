@@ -88,9 +88,8 @@ def pose_uncertainty(
     view = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height])
     depth, cross, rows = _depth_cells(found.depth, found.T_world_cam, view)
     image = _image_cells(found.image, found.T_world_cam, view)
-    H_image: NDArray[np.floating] = np.zeros((6, 6))
-    if found.image is not None:
-        H_image = found.image.normal_equations(found.T_world_cam).H
+    by_image = found.image_equations
+    H_image = np.zeros((6, 6)) if by_image is None else by_image.H
     H_depth = _unfeigned(cross, rows, H_image)
     # A motion common to all depth points, covariance Q, as in NormalEquations.limited.
     Q = np.zeros((6, 6)) if found.depth.Q is None else found.depth.Q

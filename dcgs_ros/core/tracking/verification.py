@@ -4,18 +4,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import se3
 from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from .estimator import Estimate, Memory
-from .factors import PosePrior
 from .gaussian_map import GaussianMap
 from .registration import Registration
 
@@ -143,23 +140,12 @@ def weigh(
             share = gaussians.agreement(T_depth, frame.depth_m, camera, config.sensor)
             agreement = share / usual.agreement
     if result.image is not None:
-        consistent = float(np.mean(result.image.chi2(T) < config.landmarks.drop_chi2))
-    jump = jump_sigmas(T, memory.motion.prior(frame.stamp_ns), uncertain)
+        consistent = float(np.mean(found.image_chi2 < config.landmarks.drop_chi2))
+    jump = found.prior.sigmas_to(T, uncertain)
     kept, before = 1.0, len(memory.landmarks)
     if found.fresh and before >= _MANY:
         kept = len(found.landmarks) / before
     return Evidence(jump, overlap, agreement, chi2, consistent, len(found.landmarks), kept)
-
-
-def jump_sigmas(
-    T_world_cam: NDArray[np.float64],  # (4, 4)
-    prior: PosePrior,
-    uncertain: NDArray[np.float64],  # (6, 6) covariance of both poses, camera frame
-) -> float:
-    """Return the Mahalanobis distance of a pose from the predicted one."""
-    jump = se3.log(se3.inverse(prior.T_world_cam) @ T_world_cam)
-    sigmas = np.repeat([prior.sigma_m, prior.sigma_rad], 3)
-    return math.sqrt(jump @ np.linalg.solve(np.diag(sigmas**2) + uncertain, jump))
 
 
 def is_repetition(frame: RgbdFrame, last: RgbdFrame) -> bool:

@@ -159,20 +159,17 @@ class TrackerOutputs:
     ) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
         """Return the camera's twist (6,) since the last pose, per second, and covariance (6, 6).
 
-        Both poses are relative to the map around the camera, so what the map adds in the world
-        does not count. Their errors are taken as independent, which errs on the safe side: those
-        of neighbouring frames resemble each other. Without a recent pose, or where the camera was
-        only found again, it is unknown: zero, with a covariance of a metre and a radian.
+        The covariance is that of the motion between the two: along what neither holds, the motion
+        model knows it better than either pose. Without a recent pose, or where the camera was only
+        found again, it is unknown: zero, with a covariance of a metre and a radian.
         """
-        last = self._last
-        if last is None or result.state is TrackingState.RELOCALISED:
+        last, covariance = self._last, result.motion_covariance
+        if last is None or covariance is None or result.state is TrackingState.RELOCALISED:
             return np.zeros(6), np.eye(6)
         dt = (result.stamp_ns - last.stamp_ns) * 1e-9
         if not 0 < dt < _MAX_GAP_S:
             return np.zeros(6), np.eye(6)
         motion = se3.inverse(last.T_world_cam) @ result.T_world_cam
-        Ad = se3.adjoint(se3.inverse(motion))  # from the axes of the last camera to this one's
-        covariance = Ad @ last.covariance @ Ad.T + result.covariance
         return se3.log(motion) / dt, covariance / dt**2
 
     def _place_odom(

@@ -65,7 +65,7 @@ def registration(
     )  # fmt: skip
     image = PointFactors(pairs.points, covariances, targets) if with_image else None
     nothing = NormalEquations(np.zeros((6, 6)), np.zeros(6), 0.0)
-    return Registration(T, pairs, image, nothing, nothing, n, 1.0)
+    return Registration(T, pairs, image, nothing, nothing, nothing, n, 1.0)
 
 
 def after(

@@ -86,6 +86,10 @@ def test_landmarks_that_lie_together_do_not_take_the_pose_along(axis: int) -> No
     found = estimated(memory)
     assert error(found)[0] < MISLED_M
     assert found.registration.overlap > 0.8 * memory.overlap
+    image, by_image = found.registration.image, found.registration.image_equations
+    assert image is not None and by_image is not None  # how sure the pose is
+    expected = image.normal_equations(found.registered.T_world_cam).H
+    np.testing.assert_array_equal(by_image.H, expected)
 
 
 def test_along_a_wall_a_few_landmarks_say_more_than_the_prediction() -> None:

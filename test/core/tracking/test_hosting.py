@@ -40,7 +40,7 @@ def corridor(
     normals = [WALLS[kinds] + rng.normal(scale=0.05, size=(n, 3)) for _ in range(2)]
     corners = seen(rng.uniform([-1, -1, 1], [1, 1, 5], size=(12, 3)), corner_hosts * 4, 0.01)
     equations = depth.normal_equations(np.eye(4))
-    found = Registration(np.eye(4), depth, corners, equations, equations, n, 1.0)
+    found = Registration(np.eye(4), depth, corners, equations, None, equations, n, 1.0)
     J = np.concatenate([np.hstack([m, np.cross(points, m)]) / 0.01 for m in normals], axis=1)
     H = sum(
         np.outer(row, row) for row in np.hstack([WALLS[kinds], np.cross(points, WALLS[kinds])])
@@ -75,7 +75,7 @@ def test_noise_of_normals_holds_nothing() -> None:
     normals = np.array([0, 0, -1]) + rng.normal(scale=0.2, size=(2, 2000, 3))
     rows = np.concatenate([np.hstack([m, np.cross(points, m)]) / 0.01 for m in normals], axis=1)
     equations = depth.normal_equations(np.eye(4))
-    found = Registration(np.eye(4), depth, None, equations, equations, 2000, 1.0)
+    found = Registration(np.eye(4), depth, None, equations, None, equations, 2000, 1.0)
     hosts = hosts_of(found, rows, 1e-4 * np.eye(6), 9)
     told = dict(zip(hosts.keyframes.tolist(), hosts.information, strict=True))
     assert told[0][2, 2] > 0.99e4
@@ -86,7 +86,7 @@ def test_what_nothing_holds_goes_on_from_the_last_keyframe() -> None:
     none = np.empty((0, 3))
     depth, rows, C = seen(none, [], 0.01), np.empty((0, 12)), 1e-4 * np.eye(6)
     equations = depth.normal_equations(np.eye(4))
-    found = Registration(np.eye(4), depth, None, equations, equations, 0, np.inf)
+    found = Registration(np.eye(4), depth, None, equations, None, equations, 0, np.inf)
     hosts = hosts_of(found, rows, C, 4)
     assert hosts.keyframes.tolist() == [4]
     np.testing.assert_allclose(hosts.information[0], np.linalg.inv(C), rtol=1e-6)

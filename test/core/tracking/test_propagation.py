@@ -46,6 +46,30 @@ def test_what_is_measured_has_the_covariance_of_the_measurement() -> None:
         np.testing.assert_allclose(limit.covariance, measured, rtol=1e-6, atol=1e-12)
 
 
+def test_a_motion_between_measured_poses_is_as_uncertain_as_both() -> None:
+    """That of the pose before is along the axes of the last camera: they are turned."""
+    measured = random_covariance(3)
+    turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2]))
+    limit = MotionLimit.begun(measured, np.eye(4), 0).updated(measured, np.eye(4), FRAME_NS)
+    limit = limit.updated(measured, turn, 2 * FRAME_NS)
+    Ad = se3.adjoint(se3.inverse(turn))
+    both = Ad @ measured @ Ad.T + measured
+    np.testing.assert_allclose(limit.motion_covariance, both, rtol=1e-6, atol=1e-12)
+
+
+def test_a_motion_along_what_no_frame_holds_is_known_better_than_the_poses() -> None:
+    """After a second the pose is anywhere within decimetres, but the last step is not."""
+    blind = MILLIMETRE2.copy()
+    blind[0, 0] = 100.0
+    limit = MotionLimit.begun(MILLIMETRE2, np.eye(4), 0)
+    limit = limit.updated(MILLIMETRE2, np.eye(4), FRAME_NS)
+    for k in range(2, 32):
+        limit = limit.updated(blind, np.eye(4), k * FRAME_NS)
+    velocity_m = np.sqrt(limit.joint[6, 6]) * FRAME_NS * 1e-9
+    assert np.sqrt(limit.covariance[0, 0]) > 0.3
+    assert 0.5 * velocity_m < np.sqrt(limit.motion_covariance[0, 0]) < 2.0 * velocity_m < 0.15
+
+
 def test_what_is_not_measured_grows_until_it_is_again() -> None:
     """Along x nothing is known for 20 frames; the other directions stay as they are."""
     blind = MILLIMETRE2.copy()
@@ -67,7 +91,7 @@ def test_growth_is_that_of_random_accelerations() -> None:
     """Monte Carlo of a hand that accelerates anew in each frame, velocity known at first."""
     rng, dt, frames = np.random.default_rng(4), FRAME_NS * 1e-9, 15
     blind = np.diag([100.0] * 6)
-    limit = MotionLimit(np.eye(4), 0, 1e-12 * np.eye(12))
+    limit = MotionLimit(np.eye(4), 0, 1e-12 * np.eye(12), np.eye(6))
     for k in range(1, frames + 1):
         limit = limit.updated(blind, np.eye(4), k * FRAME_NS)
     velocity, position = np.zeros(4000), np.zeros(4000)
@@ -94,7 +118,7 @@ def test_uncertainty_turns_with_the_camera() -> None:
     everything_blind = 100 * np.eye(6)
     joint = 1e-12 * np.eye(12)
     joint[:6, :6] = blind
-    limit = MotionLimit(np.eye(4), 0, joint)
+    limit = MotionLimit(np.eye(4), 0, joint, np.eye(6))
     after = limit.updated(everything_blind, turned, FRAME_NS).covariance
     assert after[1, 1] > 0.5 and after[0, 0] < 0.01
 

@@ -74,11 +74,10 @@ def pairs_of(
 def registered(depth: PointFactors, image: PointFactors | None = None) -> Registration:
     """Pairs as if they had been registered at T_WORLD_CAM."""
     sharp_depth = depth.along_normals(T_WORLD_CAM)
-    equations = sharp_depth
-    if image is not None:
-        equations = sharp_depth + image.normal_equations(T_WORLD_CAM)
+    by_image = None if image is None else image.normal_equations(T_WORLD_CAM)
+    equations = sharp_depth if by_image is None else sharp_depth + by_image
     n = len(depth.points)
-    return Registration(T_WORLD_CAM, depth, image, equations, sharp_depth, n, 1.0)
+    return Registration(T_WORLD_CAM, depth, image, equations, by_image, sharp_depth, n, 1.0)
 
 
 def uncertainty(

@@ -187,17 +187,14 @@ def test_the_agreement_is_asked_for_only_where_the_overlap_falls() -> None:
 
 @pytest.mark.parametrize('share', [0.0, 0.3, 1.0])
 def test_the_share_of_consistent_landmarks_is_counted(share: float) -> None:
-    registration = found().registration
-    image = registration.image
+    image = found().image
     assert image is not None
     shift = np.zeros((len(image.points), 3), np.float32)
     moved = np.random.default_rng(0).random(len(shift)) < share
     shift[moved] = [0.0, 0.3, 0.0]
     targets = replace(image.targets, points=image.targets.points + shift)
-    off = replace(registration, image=replace(image, targets=targets))
-    assert weighed(replace(found(), registration=off)).consistent == pytest.approx(
-        1.0 - np.mean(moved), abs=0.05
-    )
+    off = replace(found(), image=replace(image, targets=targets))
+    assert weighed(off).consistent == pytest.approx(1.0 - np.mean(moved), abs=0.05)
 
 
 def test_without_depth_only_the_motion_and_the_landmarks_speak() -> None:

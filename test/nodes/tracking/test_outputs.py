@@ -75,7 +75,7 @@ class Robot:
         result = TrackResult(
             10**8 * self._count, T, np.eye(4), 1e-6 * np.eye(6), 1e-4 * np.eye(6),
             TrackingState.OK, None, 0, 0, 0, False, (), 0.0,
-            Reference(keyframe, np.eye(4), submap, 7, 0, np.eye(4)),
+            Reference(keyframe, np.eye(4), submap, 7, 0, np.eye(4)), 2e-6 * np.eye(6),
         )  # fmt: skip
         self.outputs._path_due_s = 0.0
         self.outputs.publish(result, TO_BASE)
@@ -180,15 +180,18 @@ def test_nothing_is_broadcast_where_that_is_not_wanted(robot: Robot) -> None:
     assert not robot.tf.sent
 
 
-def test_the_velocitys_covariance_is_along_the_axes_of_the_last_camera(robot: Robot) -> None:
-    """That of the pose before is turned to them: here x was y."""
-    at_origin, quarter = CameraToBase(np.eye(4)), se3.exp(np.array([0, 0, 0, 0, 0, np.pi / 2]))
+def test_the_velocity_is_as_uncertain_as_the_motion_and_not_as_both_poses(robot: Robot) -> None:
+    """Where a corridor leaves the way along it open by a metre, its change is known far better."""
+    at_origin = CameraToBase(np.eye(4))
     robot.publish(np.eye(4))
     last = robot.outputs._last
     assert last is not None
-    variances = np.diag([1.0, 4.0, 9.0, 0.0, 0.0, 0.0])
-    robot.outputs._last = replace(last, covariance=variances)
-    still = replace(last, covariance=np.zeros((6, 6)), T_world_cam=quarter, stamp_ns=2 * 10**8)
-    robot.outputs.publish(still, at_origin)
+    motion = np.diag([1e-4, 4e-4, 9e-4, 1e-6, 4e-6, 9e-6])
+    later = replace(last, covariance=np.eye(6), motion_covariance=motion, stamp_ns=2 * 10**8)
+    robot.outputs.publish(later, at_origin)
     found = robot.published['_odometry'][-1].twist.covariance.reshape(6, 6)
-    np.testing.assert_allclose(np.diag(found)[:3], np.array([4.0, 1.0, 9.0]) / 0.1**2, rtol=1e-9)
+    np.testing.assert_allclose(found, motion / 0.1**2, rtol=1e-9)
+    robot.outputs.publish(replace(later, motion_covariance=None, stamp_ns=3 * 10**8), at_origin)
+    unknown = robot.published['_odometry'][-1].twist
+    np.testing.assert_array_equal(unknown.covariance.reshape(6, 6), np.eye(6))
+    assert unknown.twist.linear.x == 0.0

@@ -422,6 +422,7 @@ class Tracker:
         T = self.T_world_cam.copy()
         T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
         self._search, self._trial, self._usual = None, None, Usual()
+        self._unconfirmed = 0
         claim = Claim(np.zeros((6, 6)), UNKNOWN, np.empty(0, np.int32), submap)
         keyframe = self._start_submap(frame, to_grey(frame.color), T, twist, claim)
         self._held.append(keyframe)

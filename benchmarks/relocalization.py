@@ -199,10 +199,14 @@ def second_half(clip: Clip, rng: np.random.Generator) -> Iterator[Iterator[View]
 
 
 def look_alikes(address: str, rng: np.random.Generator) -> Iterator[Iterator[View]]:
-    """Yield frames of the scene with other textures, and rearranged, in turn."""
+    """Yield frames of the scene with other textures, and rearranged, in turn.
+
+    Those with other textures are from where the map ends: the last pose is always tried.
+    """
     for change in itertools.cycle((redecorated, rearranged)):
         source = Altered(address, rng, change)
-        yield rendered(source, int(rng.integers(len(source) - _BRIEF)), _BRIEF)
+        span = _SECOND if change is redecorated else len(source) - _BRIEF
+        yield rendered(source, len(source) - _BRIEF - 1 - int(rng.integers(span)), _BRIEF)
 
 
 def other_rooms(known: Map, rng: np.random.Generator) -> Iterator[Iterator[View]]:

@@ -30,6 +30,18 @@ _STEP_S = 0.2  # that a frame counts for at most in a search
 
 
 @dataclass(frozen=True)
+class Known:
+    """What a frame is looked for with."""
+
+    memory: Memory  # of the camera, as it was before it was lost
+    gaussians: GaussianMap
+    claims: PoseClaims
+    clocks: Clocks
+    recogniser: Recogniser | None
+    config: Config
+
+
+@dataclass(frozen=True)
 class Sought:
     """What came of a frame in which the camera was looked for."""
 
@@ -60,97 +72,73 @@ class Search:
         self._relocalizer.move(T_world_cam, _unrecognisable(self._visited, recogniser))
 
     def find(
-        self,
-        frame: RgbdFrame,
-        memory: Memory,
-        gaussians: GaussianMap,
-        claims: PoseClaims,
-        clocks: Clocks,
-        recogniser: Recogniser | None,
-        config: Config,
-        guesses: Sequence[NDArray[np.float64]] = (),
+        self, frame: RgbdFrame, known: Known, guesses: Sequence[NDArray[np.float64]] = ()
     ) -> Sought:
         """Try a few of the places where the camera may be, the `guesses` (4, 4) among them."""
         step_s = min((frame.stamp_ns - self._stamp_ns) * 1e-9, _STEP_S)
         self._stamp_ns = frame.stamp_ns
-        found = self._best(frame, memory.motion, gaussians, recogniser, config, guesses)
-        uncertainty = claims.uncertainty(found.registration)
-        holds = self._holds(found, uncertainty, memory.motion, gaussians, claims, clocks, config)
-        if holds and self._looks_right(found, memory.motion, recogniser):
+        found = self._best(frame, known, guesses)
+        uncertainty = known.claims.uncertainty(found.registration)
+        if self._holds(found, uncertainty, known) and self._looks_right(found, known):
             return Sought(found, uncertainty)
         self.seconds += step_s
         return Sought(found, None)
 
     def _best(
-        self,
-        frame: RgbdFrame,
-        motion: ConstantVelocity,
-        gaussians: GaussianMap,
-        recogniser: Recogniser | None,
-        config: Config,
-        guesses: Sequence[NDArray[np.float64]],
+        self, frame: RgbdFrame, known: Known, guesses: Sequence[NDArray[np.float64]]
     ) -> Estimate:
         """Return the estimate at the place that explains most of the frame."""
+        config, motion = known.config, known.memory.motion
         cloud = sample(frame, self._camera, config, config.cloud.stride_px, np.zeros(6))
-        depth = DepthTerm(cloud, gaussians, self._camera.focal, config)
+        depth = DepthTerm(cloud, known.gaussians, self._camera.focal, config)
         if not motion.is_gap(frame.stamp_ns):
             guesses = [*guesses, motion.predict(frame.stamp_ns)]
-        wanted = self._relocalizer.wants_places
-        places = self._recognised(frame, recogniser, config) if wanted else []
+        places = self._recognised(frame, known) if self._relocalizer.wants_places else []
         best = self._relocalizer.best(depth, config, guesses, places)
         T, grey = best.T_world_cam, to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
         prior = motion.prior(frame.stamp_ns)
         return Estimate(registered, best, Landmarks.none(), None, True, prior)
 
-    def _holds(
-        self,
-        found: Estimate,
-        uncertainty: PoseUncertainty,
-        motion: ConstantVelocity,
-        gaussians: GaussianMap,
-        claims: PoseClaims,
-        clocks: Clocks,
-        config: Config,
-    ) -> bool:
-        """Return whether the camera is where the estimate says."""
+    def _holds(self, found: Estimate, uncertainty: PoseUncertainty, known: Known) -> bool:
+        """Return whether the camera may be where the estimate says, by depth and by its motion."""
         best, frame, T = found.registration, found.registered.frame, found.registered.T_world_cam
-        agreement = gaussians.agreement(T, frame.depth_m, self._camera, config.sensor)
+        config, claims, clocks = known.config, known.claims, known.clocks
+        agreement = known.gaussians.agreement(T, frame.depth_m, self._camera, config.sensor)
         if not (found.is_trusted(config) and self._relocalizer.accepts(best, agreement)):
             return False
         spectrum = observability(best.equations.H, uncertainty.information)
         if claims.is_degenerate(spectrum, claims.measured(uncertainty, clocks)):
             return False  # it may be anywhere along that direction
+        motion = known.memory.motion
         if motion.is_gap(frame.stamp_ns):
             return True
         doubt = claims.in_doubt(uncertainty, clocks)
         return found.prior.sigmas_to(T, doubt) <= JUMP_SIGMAS
 
-    def _looks_right(
-        self, found: Estimate, motion: ConstantVelocity, recogniser: Recogniser | None
-    ) -> bool:
+    def _looks_right(self, found: Estimate, known: Known) -> bool:
         """Return whether what the image shows was recognised, where it could be.
 
         Another room may have the same shape. But a camera that was tracked half a second ago is
         still in its own.
         """
-        best = found.registration
+        best, recogniser = found.registration, known.recogniser
         if recogniser is None or best.image is not None:
             return True
-        here = int(np.bincount(best.hosts).argmax())
-        return not (motion.is_gap(found.registered.frame.stamp_ns) and recogniser.knows(here))
+        gap = known.memory.motion.is_gap(found.registered.frame.stamp_ns)
+        return not (gap and recogniser.knows(int(np.bincount(best.hosts).argmax())))
 
     def _recognised(
-        self, frame: RgbdFrame, recogniser: Recogniser | None, config: Config
+        self, frame: RgbdFrame, known: Known
     ) -> list[tuple[NDArray[np.float64], PointFactors]]:
         """Return where a frame may have been taken by what it shows, and what speaks for it."""
-        if recogniser is None:
+        if known.recogniser is None:
             return []
-        focal, sensor, poses = self._camera.focal, config.sensor, self._visited.poses
+        focal, sensor, poses = self._camera.focal, known.config.sensor, self._visited.poses
         return [
             (poses[one.keyframe] @ one.T_keyframe_cam,
              one.factors(poses[one.keyframe], focal, sensor))
-            for one in recogniser.recognise(frame)
+            for one in known.recogniser.recognise(frame)
         ]  # fmt: skip
 
 

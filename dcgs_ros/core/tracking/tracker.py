@@ -30,7 +30,7 @@ from .observability import observability
 from .registration import Registration
 from .relocalization import Recogniser
 from .result import Reference, TrackingState, TrackResult
-from .search import Search
+from .search import Known, Search
 from .standstill import Standstill
 from .uncertainty import PoseUncertainty
 from .verification import Evidence, Usual, is_repetition, weigh
@@ -390,10 +390,10 @@ class Tracker:
         It is not joined to the others: where they are from each other is not known.
         """
         config = self._config
-        sought = search.find(
-            frame, self._memory, self.gaussians, self._claims, self._clocks, self.recogniser,
-            config, guesses,
-        )  # fmt: skip
+        known = Known(
+            self._memory, self.gaussians, self._claims, self._clocks, self.recogniser, config
+        )
+        sought = search.find(frame, known, guesses)
         found = sought.estimate
         if sought.uncertainty is not None:
             return self._found_again(found, sought.uncertainty)
@@ -423,6 +423,7 @@ class Tracker:
         T = self.T_world_cam.copy()
         T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
         self._search, self._trial, self._usual = None, None, Usual()
+        self._unconfirmed = 0
         claim = Claim(np.zeros((6, 6)), UNKNOWN, Hosts.none(), submap)
         keyframe = self._start_submap(frame, to_grey(frame.color), T, twist, claim)
         self._held.append(keyframe)

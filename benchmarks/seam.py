@@ -30,9 +30,9 @@ from dcgs_ros.datasets.source import Source
 from dcgs_ros.evaluation.similarity import psnr_db
 
 ADDRESS = 'synthetic:room?motion=wheeled&speed=3&frames={frames}&seed={seed}'
-_FRAMES, _EVERY, _LAP = 276, 6, 150  # the lap takes 220; views so far apart are of two laps
+_FRAMES, _EVERY, _LAP = 276, 12, 150  # the lap takes 220; views so far apart are of two laps
 _DRIFT = np.array([0.06, 0.0, 0.0, 0.0, np.radians(1.5), 0.0])  # over all of it
-_GAUSSIANS = 1500  # of a keyframe
+_GAUSSIANS = 1000  # of a keyframe
 _AFTER = 300  # frames
 COLUMNS = (
     'seed',
@@ -46,7 +46,7 @@ COLUMNS = (
 
 
 def views_of(source: Source) -> list[View]:
-    """Return every sixth frame with its true pose."""
+    """Return every twelfth frame with its true pose."""
     truth = source.groundtruth
     assert truth is not None
     frames = [frame for frame in source if isinstance(frame, RgbdFrame)]

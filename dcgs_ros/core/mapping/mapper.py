@@ -29,7 +29,7 @@ from .splat_table import SplatTable
 from .splats import SH_C0, Splats
 from .strategy import DefaultDensification, Densification, Observation
 from .view_choice import COARSE, ViewScheduler
-from .views import KeyframeView, shrink_memory
+from .views import KeyframeView, bend, shrink_memory
 
 _EXPOSURE_INTERVAL = 4  # visits of a view between two fits of its exposure
 
@@ -283,11 +283,12 @@ class Mapper:
         moved = moves.moved[rows]
         if not moved.any():
             return 0
-        motions = moves.motions[rows]
-        self.table.move(motions, moved)
-        chosen = np.flatnonzero(moved).tolist()
+        motions, chosen = moves.motions[rows], np.flatnonzero(moved).tolist()
+        bent = bend([self.views[k] for k in chosen], motions[chosen])
+        in_map = motions.copy()
         for k in chosen:
-            self.views[k].move(motions[k])
+            in_map[k] = self.views[k].move(motions[k], bent)
+        self.table.move(motions, in_map, moved)
         self._scheduler.begin_with(self.views, frozenset(chosen))
         return len(chosen)
 

@@ -159,7 +159,8 @@ class SplatTable:
 
     def move(
         self,
-        motions: NDArray[np.float64],  # (K, 4, 4) of each view, in the world
+        motions: NDArray[np.float64],  # (K, 4, 4) of each view, in the tracker's world
+        in_map: NDArray[np.float64],  # (K, 4, 4) in the mapper's
         moved: NDArray[np.bool_],  # (K,) which of them are not the identity
     ) -> None:
         """Move the Gaussians with their views: means, axes of Sigma_r, and what Adam keeps.
@@ -170,10 +171,12 @@ class SplatTable:
         """
         columns = np.flatnonzero(moved[self.hosts])
         hosts = self.hosts[columns]
-        R, t = motions[hosts, :3, :3], motions[hosts, :3, 3]
-        for points in (self.splats.means, self.measured, self.anchors):
-            points[:, columns] = _turned(R, points[:, columns]) + t.T
-        products = _left_products(se3.to_quaternion(motions))[hosts]
+        parts = ((motions, (self.measured,)), (in_map, (self.splats.means, self.anchors)))
+        for T, moving in parts:
+            R, t = T[hosts, :3, :3], T[hosts, :3, 3]
+            for points in moving:
+                points[:, columns] = _turned(R, points[:, columns]) + t.T
+        products = _left_products(se3.to_quaternion(in_map))[hosts]
         quats = self.splats.quats_wxyz
         quats[:, columns] = _turned(products, quats[:, columns])
         first, second = (self._columns[f'{name}_moments'] for name in ('first', 'second'))

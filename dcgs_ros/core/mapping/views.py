@@ -80,14 +80,21 @@ class KeyframeView:
         """(4, 4) transform from the tracker's world to the mapper's at this view."""
         return self.T_world_cam @ se3.inverse(self.T_tracked)
 
-    def move(self, motion: NDArray[np.float64]) -> None:
-        """Move the view by `motion` (4, 4), in the world; its correction stays as it is.
+    def move(self, motion: NDArray[np.float64], bend: float) -> NDArray[np.float64]:
+        """Move the view by `motion` (4, 4), in the tracker's world; return that in the mapper's.
 
-        So do the moments of `turn`, which are along the camera's own axes.
+        Views were wrong by `bend` to each other, m and rad. Where that and the motion are larger
+        than the view's correction, this is dropped: it was found against a map that was wrong by
+        more, and has made up for some of that already. Otherwise it stays as it is. So do the
+        moments of `turn`, which are along the camera's own axes.
         """
-        correction = self.correction
+        before, correction = self.T_world_cam, self.correction
+        moved = se3.inverse(self.T_tracked) @ motion @ self.T_tracked
+        if min(_size(moved), bend) > _size(correction):
+            correction = np.eye(4)
         self.T_tracked = se3.orthonormalised(motion @ self.T_tracked)
         self.T_world_cam = self.T_tracked @ correction
+        return self.T_world_cam @ se3.inverse(before)
 
     @property
     def images(self) -> Images:
@@ -212,3 +219,15 @@ def _unpack(piece, pieces, color, depth, valid, shrink, out, out_depth, out_vali
             out[0, y, x], out[1, y, x], out[2, y, x] = red * scale, green * scale, blue * scale
             out_depth[y, x] = depth[y * shrink + middle, x * shrink + middle] * unit
             out_valid[y, x] = all_valid
+
+
+def bend(views: Sequence[KeyframeView], motions: NDArray[np.float64]) -> float:
+    """Return how much views move to each other, m and rad, by `motions` (K, 4, 4) in the world."""
+    T = np.array([view.T_tracked for view in views])
+    first = se3.inverse(motions[0])
+    return max(_size(one) for one in se3.inverse(T) @ first @ motions @ T)
+
+
+def _size(motion: NDArray[np.float64]) -> float:
+    """Return the length of the twist of a motion (4, 4), m and rad."""
+    return float(np.linalg.norm(se3.log(motion)))

@@ -17,7 +17,7 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels.workers import Workers
 from dcgs_ros.core.mapping.exposure import Exposure
 from dcgs_ros.core.mapping.rectification import Images, Rectifier
-from dcgs_ros.core.mapping.views import KeyframeView
+from dcgs_ros.core.mapping.views import KeyframeView, bend
 
 UNIT_M = 5e-4
 HALF_UNIT_M = 0.5 * UNIT_M + 1e-6
@@ -330,3 +330,42 @@ def test_a_gradient_that_is_not_finite_is_no_turn_at_all(garbage: float) -> None
         for view in views:
             view.turn(gradient, RATES)
     np.testing.assert_array_equal(views[0].T_world_cam, views[1].T_world_cam)
+
+
+REFINED = se3.exp(np.array([0.02, -0.01, 0.0, 0.0, 0.01, 0.0]))
+ANYWHERE = se3.exp(np.array([0.4, -0.3, 0.2, 0.3, -0.5, 0.2]))
+
+
+def view_at(T_tracked: NDArray[np.float64]) -> KeyframeView:
+    images = Images(np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.uint16))
+    view = KeyframeView.of(0, 5, T_tracked, images, None)
+    view.T_world_cam = T_tracked @ REFINED
+    return view
+
+
+@pytest.mark.parametrize(
+    ('share', 'bent', 'kept'), [(3.0, 1.0, False), (0.5, 1.0, True), (3.0, 0.0, True)]
+)
+def test_a_larger_motion_takes_the_place_of_what_was_refined(
+    share: float, bent: float, kept: bool
+) -> None:
+    """Unless all views move as one: then they were right to each other."""
+    view = view_at(ANYWHERE)
+    before = view.T_world_cam
+    apart = se3.exp(share * np.array([-0.02, 0.01, 0.0, 0.0, -0.01, 0.0]))
+    motion = ANYWHERE @ apart @ se3.inverse(ANYWHERE)
+    in_map = view.move(motion, bent)
+    np.testing.assert_allclose(view.T_tracked, ANYWHERE @ apart, atol=1e-12)
+    np.testing.assert_allclose(view.correction, REFINED if kept else np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(in_map @ before, view.T_world_cam, atol=1e-12)
+    if kept:
+        np.testing.assert_allclose(in_map, motion, atol=1e-12)
+
+
+def test_views_that_move_as_one_do_not_bend() -> None:
+    views = [view_at(np.eye(4)), view_at(ANYWHERE)]
+    rigid = np.array([ANYWHERE, ANYWHERE])
+    assert bend(views, rigid) == pytest.approx(0.0, abs=1e-12)
+    apart = ANYWHERE @ REFINED @ se3.inverse(ANYWHERE)
+    size = float(np.linalg.norm(se3.log(REFINED)))
+    assert bend(views, np.array([np.eye(4), apart])) == pytest.approx(size)

@@ -79,17 +79,24 @@ class KeyframeGraph:
         self._edges.append(odometry_edges(odometry))
         self._sightings.append(sightings or Sightings.none())
 
-    def restore(self, stamps_ns: Sequence[int], poses: NDArray[np.float64]) -> None:
-        """Begin with keyframes of a map (K, 4, 4), which are certain: the world is theirs."""
+    def restore(
+        self, stamps_ns: Sequence[int], poses: NDArray[np.float64], submaps: Sequence[int]
+    ) -> None:
+        """Begin with keyframes of a map (K, 4, 4), which are certain: the world is theirs.
+
+        Each is held by the one before it in its sub-map.
+        """
         if len(self):
             raise BackEndError(f'there are {len(self)} keyframes already')
         poses = np.array(poses, np.float64).reshape(-1, 4, 4)
-        for k, (stamp_ns, T) in enumerate(zip(stamps_ns, poses, strict=True)):
-            hosts = np.arange(max(k - 1, 0), k, dtype=np.int32)
+        newest: dict[int, int] = {}
+        rows = zip(stamps_ns, poses, submaps, strict=True)
+        for k, (stamp_ns, T, submap) in enumerate(rows):
+            hosts = np.array([newest[submap]] if submap in newest else [], np.int32)
             relative = se3.inverse(poses[hosts]) @ T
-            self.add(
-                int(stamp_ns), T, Odometry(k, 0, hosts, relative, np.ones(len(hosts)), _RIGID)
-            )
+            odometry = Odometry(k, int(submap), hosts, relative, np.ones(len(hosts)), _RIGID)
+            self.add(int(stamp_ns), T, odometry)
+            newest[submap] = k
         self.poses = poses  # to the last bit
         self._restored = len(self)
 

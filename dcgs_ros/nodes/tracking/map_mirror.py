@@ -18,6 +18,7 @@ from ...core.tracking.gaussian_map import GaussianMap
 from ...core.tracking.tracker import Tracker
 from ..messages.ids import EPOCH, EPOCHS, split_ids
 from ..messages.maps import updated
+from .back_end_worker import KnownKeyframes
 
 _PENDING = 64  # updates kept until the whole map comes
 _ID_MARGIN = 1 << 16  # ids that the last tracker may have given out since its map was published
@@ -98,6 +99,16 @@ class Resumable:
     def resume(self, tracker: Tracker) -> None:
         """Have a tracker that has tracked nothing yet go on in the map."""
         tracker.resume(self.gaussians(tracker.config), self.poses, self.stamps_ns)
+
+    def keyframes(self, tracker: Tracker) -> KnownKeyframes:
+        """Return the keyframes for the back end of the tracker, without images."""
+        return KnownKeyframes(
+            self.stamps_ns, np.array(self.poses), tracker.keyframe_submaps.tolist()
+        )
+
+    def without_images(self) -> Resumable:
+        """Return this: there are none in it."""
+        return self
 
     def gaussians(self, config: Config) -> GaussianMap:
         """Build the tracker's map, with the keyframes' positions as viewpoints."""

@@ -76,6 +76,7 @@ class Resumable:
     rows: NDArray[Any]  # (N,) MAP_GAUSSIAN of the tracker's Gaussians, all of this epoch
     poses: list[NDArray[np.float64]]  # T_world_cam (4, 4) of the keyframes
     stamps_ns: tuple[int, ...]  # of the keyframes
+    submaps: tuple[int, ...] = ()  # likewise; by default all 0
 
     def __str__(self) -> str:
         """Return its size in words."""
@@ -83,7 +84,10 @@ class Resumable:
 
     @staticmethod
     def of(
-        rows: NDArray[Any], poses: list[NDArray[np.float64]], stamps_ns: Iterable[int]
+        rows: NDArray[Any],
+        poses: list[NDArray[np.float64]],
+        stamps_ns: Iterable[int],
+        submaps: Iterable[int] = (),
     ) -> Resumable | None:
         """Select a tracker's Gaussians, of the highest epoch, from a map; None without any."""
         rows = rows[np.all([np.isfinite(rows[name]) for name in _USED], axis=0)]
@@ -94,11 +98,12 @@ class Resumable:
             return None
         epoch = int(epochs[measured].max())
         chosen = rows[measured & (epochs == epoch)]
-        return Resumable(epoch, chosen, poses, tuple(stamps_ns))
+        return Resumable(epoch, chosen, poses, tuple(stamps_ns), tuple(submaps))
 
     def resume(self, tracker: Tracker) -> None:
         """Have a tracker that has tracked nothing yet go on in the map."""
-        tracker.resume(self.gaussians(tracker.config), self.poses, self.stamps_ns)
+        gaussians = self.gaussians(tracker.config)
+        tracker.resume(gaussians, self.poses, self.stamps_ns, self.submaps)
 
     def keyframes(self, tracker: Tracker) -> KnownKeyframes:
         """Return the keyframes for the back end of the tracker, without images."""

@@ -622,6 +622,18 @@ def test_the_back_end_gets_the_keyframes_of_a_map_that_is_gone_on_in(tmp_path: P
         assert listening.known is None  # a new map
 
 
+def test_the_submaps_of_a_resumed_map_are_its_own() -> None:
+    frames, before = frames_of(HALF), Feeder(EAGER)
+    before.feed(frames[:8])
+    found, after = resumable_of(before), Feeder(EAGER)
+    after.session._loops = listening = Listening()
+    submaps = (1,) * len(found.poses)
+    after.session.resume(replace(found, submaps=submaps))
+    result = after.feed(frames[7:8])[0]
+    assert result is not None and result.submap == 1  # its place in the map is not known
+    assert listening.known is not None and tuple(listening.known.submaps) == submaps
+
+
 def test_keyframes_of_the_tracker_before_are_told_of_once_they_move() -> None:
     frames, before = frames_of(HALF), Feeder(EAGER)
     before.feed(frames[:8])

@@ -148,7 +148,8 @@ def _tracker_of(
         np.array([view.stamp_ns for view in keyframes], np.int64),
         np.array([view.T_tracked for view in keyframes]).reshape(-1, 4, 4),
         np.array(mapper.submaps, np.int32)[numbers >= 0], np.zeros((count, 6, 6)),
-        np.empty((0, 2), np.int32), np.empty((0, 4, 4)), np.empty(0), np.array(astuple(Usual()), np.float64), np.zeros(TERMS),
+        np.empty((0, 2), np.int32), np.empty((0, 4, 4)), np.empty(0),
+        np.array(astuple(Usual()), np.float64), np.zeros(TERMS),
     )  # fmt: skip
 
 

@@ -69,6 +69,7 @@ class Keyframe(PosedFrame):
     normals: NDArray[np.float32]  # (N, 3) unit, world
     odometry: Odometry | None = None  # None: from another process
     sightings: Sightings | None = None  # None: likewise
+    submap: int = 0  # in which it was made
 
     def moved(self, motion: NDArray[np.float64]) -> Keyframe:
         """Return it and its Gaussians moved by `motion` (4, 4), in the world."""

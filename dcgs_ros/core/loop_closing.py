@@ -77,11 +77,12 @@ class _Mode:
         self,
         stamps_ns: Sequence[int],
         T_world_cam: NDArray[np.float64],  # (K, 4, 4)
+        submaps: Sequence[int],
         keyframes: Iterable[Keyframe],
         camera: PinholeCamera,
     ) -> None:
         """Begin with the keyframes of a map that the tracker goes on in, as `BackEnd.restore`."""
-        self._back_end.restore(stamps_ns, T_world_cam, keyframes, camera)
+        self._back_end.restore(stamps_ns, T_world_cam, submaps, keyframes, camera)
 
     @property
     def loops(self) -> list[tuple[int, int]]:

@@ -88,8 +88,9 @@ def restore_mapper(mapper: Mapper, saved: SavedMap, first_id: int = 0) -> None:
     ]  # fmt: skip
     ids = np.where(saved.ids < 0, saved.ids, saved.ids + first_id)
     mapper.restore(
-        saved.splats, ids, saved.hosts, saved.tracked_means, saved.reach_m, saved.weights, views
-    )
+        saved.splats, ids, saved.hosts, saved.tracked_means, saved.reach_m, saved.weights, views,
+        saved.tracker.submaps.tolist(),
+    )  # fmt: skip
 
 
 def check_camera(saved: SavedMap, camera: PinholeCamera) -> None:
@@ -146,9 +147,9 @@ def _tracker_of(
         int(ids.max(initial=-1)) + ID_MARGIN,
         np.array([view.stamp_ns for view in keyframes], np.int64),
         np.array([view.T_tracked for view in keyframes]).reshape(-1, 4, 4),
-        np.zeros(count, np.int32), np.zeros((count, 6, 6)), np.empty((0, 2), np.int32),
-        np.empty((0, 4, 4)), np.empty((0, 6, 6)), np.array(astuple(Usual()), np.float64),
-        np.zeros(TERMS),
+        np.array(mapper.submaps, np.int32)[numbers >= 0], np.zeros((count, 6, 6)),
+        np.empty((0, 2), np.int32), np.empty((0, 4, 4)), np.empty((0, 6, 6)),
+        np.array(astuple(Usual()), np.float64), np.zeros(TERMS),
     )  # fmt: skip
 
 

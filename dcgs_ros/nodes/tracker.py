@@ -114,11 +114,11 @@ class TrackerNode(Node):
         path = self._params.settings.node.map
         if not path:
             raise DcgsError('node.map names no map')
-        self._known = KnownMap.read(Path(path))
-        self._session.load(self._known)
+        known = KnownMap.read(Path(path))
+        self._session.load(known)
         self._sender.forget()
         self._outputs.forget()
-        return f'{self._known} in {path}: the camera is looked for in it'
+        return f'{known} in {path}: the camera is looked for in it'
 
     def _reconfigure(self, settings: TrackerSettings) -> None:
         config = core_config(settings)
@@ -151,7 +151,7 @@ class TrackerNode(Node):
         settings = self._params.settings.node
         maps = settings.resume and settings.mode == 'mapping'
         found = self._mapper.resumable(settings.resume_wait_s) if maps else None
-        chosen = preferred(found, self._known)
+        chosen, self._known = preferred(found, self._known), None
         if chosen is not None:
             self._session.resume(chosen)
             self.get_logger().info(f'going on in a map of {chosen}')

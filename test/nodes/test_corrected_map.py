@@ -60,6 +60,9 @@ class Scripted:
         self.loops: list[object] = []
         self.keyframes: list[Keyframe] = []
 
+    def restore(self, *_: Any) -> None:
+        raise AssertionError('the map is a new one')
+
     def add(self, keyframe: Keyframe) -> None:
         self.keyframes.append(keyframe)
 

@@ -90,10 +90,11 @@ def _closing(
         warm_up_back_end(camera)
     closing = (ClosingOnline if online else ClosingInLockstep)(tracker, mapping)
     if known is not None:
-        stamps_ns, poses = known.tracker.stamps_ns.tolist(), known.tracker.poses
-        undistorted = replace(known.camera, distortion=())
-        keyframes = keyframes_of(images, known.tracker)
-        closing.restore(stamps_ns, poses, keyframes, undistorted)
+        saved, undistorted = known.tracker, replace(known.camera, distortion=())
+        closing.restore(
+            saved.stamps_ns.tolist(), saved.poses, saved.submaps.tolist(),
+            keyframes_of(images, saved), undistorted,
+        )  # fmt: skip
     return closing
 
 

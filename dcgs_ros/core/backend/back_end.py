@@ -103,16 +103,18 @@ class BackEnd:
         self,
         stamps_ns: Sequence[int],
         T_world_cam: NDArray[np.float64],
+        submaps: Sequence[int] = (),
         keyframes: Iterable[Keyframe] = (),
         camera: PinholeCamera | None = None,
     ) -> None:
-        """Begin with the keyframes (K, 4, 4) of a map, which stay where they are.
+        """Begin with the keyframes (K, 4, 4) of a map, which stay where they are to each other.
 
+        `submaps` (K,) are those that each is in, by default all in one; loops may still join them.
         The tracker's next keyframe is to have the index K. Loops are found with those that are
         among `keyframes`, whose images were made by `camera`, by default the tracker's. Raises
         `BackEndError` if there are keyframes already.
         """
-        self._graph.restore(stamps_ns, T_world_cam)
+        self._graph.restore(stamps_ns, T_world_cam, submaps or [0] * len(stamps_ns))
         for keyframe in keyframes:
             self._finder.add(keyframe, camera)
         self._told, self._told_submaps = self._graph.poses.copy(), list(self._graph.submaps)

@@ -79,15 +79,23 @@ class KeyframeGraph:
         self._edges.append(odometry_edges(odometry))
         self._sightings.append(sightings or Sightings.none())
 
-    def restore(self, stamps_ns: Sequence[int], poses: NDArray[np.float64]) -> None:
-        """Begin with keyframes of a map (K, 4, 4), which are certain: the world is theirs."""
+    def restore(
+        self, stamps_ns: Sequence[int], poses: NDArray[np.float64], submaps: Sequence[int]
+    ) -> None:
+        """Begin with keyframes of a map (K, 4, 4), which are certain: the world is theirs.
+
+        Each is held by the one before it in its sub-map.
+        """
         if len(self):
             raise BackEndError(f'there are {len(self)} keyframes already')
         poses = np.array(poses, np.float64).reshape(-1, 4, 4)
-        for k, (stamp_ns, T) in enumerate(zip(stamps_ns, poses, strict=True)):
-            hosts = np.arange(max(k - 1, 0), k, dtype=np.int32)
+        newest: dict[int, int] = {}
+        rows = zip(stamps_ns, poses, submaps, strict=True)
+        for k, (stamp_ns, T, submap) in enumerate(rows):
+            hosts = np.array([newest[submap]] if submap in newest else [], np.int32)
             relative = se3.inverse(poses[hosts]) @ T
-            self.add(int(stamp_ns), T, _odometry(k, hosts, relative, _RIGID))
+            self.add(int(stamp_ns), T, _odometry(k, hosts, relative, _RIGID, int(submap)))
+            newest[submap] = k
         self.poses = poses  # to the last bit
         self._restored = len(self)
 
@@ -173,11 +181,15 @@ def _thinned(edges: list[Edge], keyframes: int) -> list[Edge]:
 
 
 def _odometry(
-    k: int, hosts: NDArray[np.int32], T_host_cam: NDArray[np.float64], C: NDArray[np.float64]
+    k: int,
+    hosts: NDArray[np.int32],
+    T_host_cam: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    submap: int = 0,
 ) -> Odometry:
-    """Return that of keyframe `k` with one host at most, and covariance C (6, 6)."""
-    information = np.tile(np.linalg.inv(C), (len(hosts), 1, 1))
-    return Odometry(k, 0, hosts, T_host_cam, information, C)
+    """Return that of keyframe `k` with one host at most."""
+    information = np.tile(np.linalg.inv(covariance), (len(hosts), 1, 1))
+    return Odometry(k, submap, hosts, T_host_cam, information, covariance)
 
 
 def warm_up() -> None:

@@ -9,6 +9,7 @@ keyframe is now.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,12 +45,25 @@ class KeyframePoses:
     def __init__(self) -> None:
         """Start without keyframes."""
         self._poses: dict[int, NDArray[np.float64]] = {}
+        self._submaps: dict[int, int] = {}
 
     def reference(self, posed: PosedFrame) -> KeyframePose | None:
         """Return the keyframe that a frame goes with, itself if it is one; None if not known."""
         if posed.reference is None and isinstance(posed, Keyframe):
             return KeyframePose(posed.frame.stamp_ns, posed.T_world_cam)
         return posed.reference
+
+    def made_in(self, stamp_ns: int, submap: int) -> None:
+        """Take note of the sub-map of a keyframe; where a correction has told, that counts."""
+        self._submaps.setdefault(stamp_ns, submap)
+
+    def submaps(self, names_ns: Sequence[int]) -> list[int]:
+        """Return the sub-map of each keyframe; of an unknown one, that of the one before."""
+        found, newest = [], 0
+        for name in names_ns:
+            newest = self._submaps.get(name, newest)
+            found.append(newest)
+        return found
 
     def motion_since(self, then: KeyframePose) -> NDArray[np.float64]:
         """Return the motion (4, 4), in the world, of a keyframe to where it is now.
@@ -69,6 +83,8 @@ class KeyframePoses:
         before = np.reshape([self._poses[stamp] for stamp in stamps.tolist()], (-1, 4, 4))
         corrected = zip(correction.stamps_ns.tolist(), correction.T_world_cam, strict=True)
         self._poses.update(corrected)
+        submaps = correction.submaps.tolist()
+        self._submaps.update(zip(correction.stamps_ns.tolist(), submaps, strict=True))
         after = np.reshape([self._poses[stamp] for stamp in stamps.tolist()], (-1, 4, 4))
         motions = np.concatenate([_motions(before, after), np.eye(4)[None]])
         named = np.isin(stamps, correction.stamps_ns)

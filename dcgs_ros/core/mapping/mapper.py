@@ -109,6 +109,8 @@ class Mapper:
         if keyframe.odometry is not None:
             view.keyframe = keyframe.odometry.keyframe
         view.reference_ns = None if reference is None else reference.stamp_ns
+        if isinstance(posed, Keyframe):
+            self._keyframes.made_in(view.stamp_ns, posed.submap)
         self.views.append(view)
         coarse = View.of(self.camera, view.T_world_cam, COARSE)
         rendering = self._renderer.render(self.table.planes, coarse)
@@ -128,19 +130,30 @@ class Mapper:
         reach_m: NDArray[np.float32],  # (N,)
         weights: NDArray[np.float32],  # (N,)
         views: Sequence[KeyframeView],
+        submaps: Sequence[int] = (),
     ) -> None:
-        """Fill an empty mapper with a map that was saved; its optimisation begins anew."""
+        """Fill an empty mapper with a map that was saved; its optimisation begins anew.
+
+        `submaps` are those of the tracker's keyframes, by their number, by default all 0.
+        """
         self.views = list(views)
         for view in self.views:
             if view.keyframe >= 0:
                 view.reference_ns = view.stamp_ns
                 self._keyframes.motion_since(KeyframePose(view.stamp_ns, view.T_tracked))
+                if submaps:
+                    self._keyframes.made_in(view.stamp_ns, submaps[view.keyframe])
         planes = Splats(splats.planes.copy())
         self.table.append(planes, ids, hosts, np.ascontiguousarray(measured.T), reach_m)
         self.table.weights[:] = weights
         if self.views:
             self.table.place_anchors(np.array([view.T_map_tracked for view in self.views]))
         self._next_own_id = min(int(ids.min(initial=0)), 0) - 1
+
+    @property
+    def submaps(self) -> list[int]:
+        """The sub-map of each view, which is that of its keyframe."""
+        return self._keyframes.submaps([view.reference_ns or view.stamp_ns for view in self.views])
 
     def _check(self, keyframe: Keyframe) -> None:
         height, width = keyframe.frame.depth_m.shape

@@ -521,8 +521,9 @@ class Tracker:
             config.sensor,
         )  # fmt: skip
         return Keyframe(
-            frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry, sightings
-        )
+            frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry, sightings,
+            claim.submap,
+        )  # fmt: skip
 
     def _runs_out_of_landmarks(self) -> bool:
         """Return whether they are few, or missing where there were some, since the detection."""

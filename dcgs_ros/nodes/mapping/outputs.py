@@ -85,7 +85,8 @@ class MapOutputs:
 
     def keyframes(self, mapper: Mapper | None) -> None:
         """Publish which keyframes there are; the tracker sends what is not among them."""
-        rows = keyframe_rows([] if mapper is None else mapper.views)
+        views, submaps = ([], []) if mapper is None else (mapper.views, mapper.submaps)
+        rows = keyframe_rows(views, submaps)
         in_world = header(_newest_ns(mapper), self.world)
         self._received.publish(write_cloud(rows, in_world))
 

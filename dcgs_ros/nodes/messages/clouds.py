@@ -31,7 +31,10 @@ def _row(floats: str, *others: tuple[str, str]) -> np.dtype[Any]:
 
 
 # What a keyframe spawned: mean, the viewpoint it was seen from, and normal; world, metres.
-KEYFRAME_GAUSSIAN = _row('x y z viewpoint_x viewpoint_y viewpoint_z normal_x normal_y normal_z')
+# The sub-map is the same in all rows: that in which the keyframe was made.
+KEYFRAME_GAUSSIAN = _row(
+    'x y z viewpoint_x viewpoint_y viewpoint_z normal_x normal_y normal_z', ('submap', '<i4')
+)
 # Sigma_r in the mapper's answer: its thinnest axis, unit, world, and lambda3 / lambda2; the last
 # correction that the mapper had taken.
 SHAPE = _row('normal_x normal_y normal_z flatness', ('revision', '<u4'))
@@ -44,8 +47,11 @@ MAP_GAUSSIAN = _row(
     ('keyframe', '<i4'),
 )
 KEYFRAME_POSE = np.dtype(
-    [('sec', '<i4'), ('nanosec', '<u4'), *((name, '<f4') for name in 'x y z qx qy qz qw'.split())]
-)
+    [
+        ('sec', '<i4'), ('nanosec', '<u4'), ('submap', '<i4'),
+        *((name, '<f4') for name in 'x y z qx qy qz qw'.split()),
+    ]
+)  # fmt: skip
 # Where the tracker's keyframes are after a correction, in the order of their index, which `id`
 # holds with the epoch as a Gaussian's does; stamp of the colour image, the number of the
 # correction, the sub-map; T_world_cam as x y z in metres and a unit quaternion.

@@ -84,6 +84,7 @@ def _gaussian_rows(packet: KeyframePacket) -> NDArray[Any]:
         return np.zeros(0, KEYFRAME_GAUSSIAN)
     rows = np.zeros(len(keyframe.ids), KEYFRAME_GAUSSIAN)
     rows['id'] = joined_ids(packet.epoch, keyframe.ids)
+    rows['submap'] = keyframe.submap
     for k, axis in enumerate('xyz'):
         rows[axis] = keyframe.means[:, k]
         rows[f'viewpoint_{axis}'] = keyframe.T_world_cam[k, 3]
@@ -102,6 +103,9 @@ def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
     epochs = np.unique(split_ids(ids)[0])
     if len(epochs) > 1 or (epochs == 0).any():
         raise MessageError(f'Gaussians of a keyframe are of epochs {epochs[:5].tolist()}, not one')
+    submaps = np.unique(rows['submap'])
+    if len(submaps) > 1 or (submaps < 0).any():
+        raise MessageError(f'a keyframe is in sub-maps {submaps[:5].tolist()}, not one')
     T_world_cam = matrix(parts['pose'].pose)
     color = parts['color']
     stamp = stamp_ns(color.header.stamp)
@@ -126,6 +130,7 @@ def read_keyframe(parts: Mapping[str, Any]) -> KeyframePacket:
         np.stack([rows[axis] for axis in 'xyz'], axis=1),
         np.stack([rows[f'normal_{axis}'] for axis in 'xyz'], axis=1),
         reference=posed.reference,
+        submap=int(submaps[0]),
     )
     return KeyframePacket(int(epochs[0]), camera, keyframe, color.header.frame_id)
 

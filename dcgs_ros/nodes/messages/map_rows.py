@@ -50,11 +50,14 @@ def map_rows(mapper: Mapper) -> NDArray[Any]:
     return rows
 
 
-def keyframe_rows(views: Sequence[KeyframeView]) -> NDArray[Any]:
-    """Return stamps and refined poses as KEYFRAME_POSE rows (N,); a row's number is its index."""
+def keyframe_rows(views: Sequence[KeyframeView], submaps: Sequence[int]) -> NDArray[Any]:
+    """Return stamps, sub-maps and refined poses as KEYFRAME_POSE rows (N,).
+
+    A row's number is the view's index.
+    """
     rows = np.zeros(len(views), KEYFRAME_POSE)
-    for k, view in enumerate(views):
+    for k, (view, submap) in enumerate(zip(views, submaps, strict=True)):
         w, x, y, z = se3.to_quaternion(view.T_world_cam)
         stamp = divmod(view.stamp_ns, 1_000_000_000)
-        rows[k] = (*stamp, *view.T_world_cam[:3, 3], x, y, z, w)
+        rows[k] = (*stamp, submap, *view.T_world_cam[:3, 3], x, y, z, w)
     return rows

@@ -6,16 +6,33 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
+from ...core.frame import RgbdFrame
 from ...core.kernels.workers import give_way
 from ...core.keyframe import Correction, Keyframe
-from ...core.tracking.relocalization import Recogniser
+from ...core.tracking.relocalization import Recogniser, Recognition
 
 _END_S = 5.0
+
+
+@dataclass(frozen=True)
+class KnownKeyframes:
+    """The K keyframes of a map that a tracker goes on in."""
+
+    stamps_ns: Sequence[int]
+    T_world_cam: NDArray[np.float64]  # (K, 4, 4)
+    submaps: Sequence[int]
+    keyframes: Iterable[Keyframe] = ()  # those whose images are known, decoded one by one
+    camera: PinholeCamera | None = None  # that made the images
+    places: Recogniser | None = None  # knows them while the back end does not yet
 
 
 class BackEnd(Protocol):
@@ -31,6 +48,17 @@ class BackEnd(Protocol):
         """Loops that are believed."""
         ...
 
+    def restore(
+        self,
+        stamps_ns: Sequence[int],
+        T_world_cam: NDArray[np.float64],
+        submaps: Sequence[int],
+        keyframes: Iterable[Keyframe],
+        camera: PinholeCamera | None,
+    ) -> None:
+        """Begin with the keyframes of a map."""
+        ...
+
     def add(self, keyframe: Keyframe) -> None:
         """Take the tracker's next keyframe."""
         ...
@@ -43,12 +71,14 @@ class BackEnd(Protocol):
 class Loops(Protocol):
     """What a session needs of the back ends of its maps, one after the other."""
 
-    def begin(self, camera: PinholeCamera, config: Config, epoch: int) -> Recogniser | None:
-        """Begin with a new map."""
+    def begin(
+        self, camera: PinholeCamera, config: Config, epoch: int, known: KnownKeyframes | None
+    ) -> Recogniser | None:
+        """Begin with a new map, or with one whose keyframes are `known`."""
         ...
 
     def leave(self) -> None:
-        """Do nothing in the map that begins: it has keyframes that are not known here."""
+        """Do nothing in the map that begins: it is not to change."""
         ...
 
     def add(self, keyframe: Keyframe) -> None:
@@ -59,7 +89,9 @@ class Loops(Protocol):
 class NoLoops:
     """Replaces the back end where it is not wanted."""
 
-    def begin(self, camera: PinholeCamera, config: Config, epoch: int) -> None:
+    def begin(
+        self, camera: PinholeCamera, config: Config, epoch: int, known: KnownKeyframes | None
+    ) -> None:
         """Do nothing."""
 
     def leave(self) -> None:
@@ -91,22 +123,29 @@ class BackEndWorker:
         map, from the thread. A back end that raises is left, with a warning.
         """
         self._make, self._pass_on, self._warn = make, on_correction, warn
-        self._queue: queue.SimpleQueue[Keyframe | tuple[int, BackEnd | None] | None]
+        self._queue: queue.SimpleQueue[Keyframe | _Map | None]
         self._queue = queue.SimpleQueue()
-        self._epoch = 0
-        self._back_end: BackEnd | None = None  # of the map whose keyframes come
+        self._map = _NO_MAP  # whose keyframes come
         self._thread = threading.Thread(target=self._run, name='back end', daemon=True)
         self._thread.start()
 
-    def begin(self, camera: PinholeCamera, config: Config, epoch: int) -> Recogniser:
-        """Begin with a new map; return what recognises its places."""
+    def begin(
+        self, camera: PinholeCamera, config: Config, epoch: int, known: KnownKeyframes | None
+    ) -> Recogniser:
+        """Begin with a new map, or a `known` one; return what recognises its places.
+
+        What is known is taken in by the thread: 1000 images take it seconds.
+        """
         back_end = self._make(camera, config)
-        self._queue.put((epoch, back_end))
-        return back_end.places
+        begins = _Map(epoch, back_end, known)
+        self._queue.put(begins)
+        if known is None or known.places is None:
+            return back_end.places
+        return _Places(known.places, back_end.places, begins.restored)
 
     def leave(self) -> None:
         """Do nothing in the map that begins."""
-        self._queue.put((0, None))
+        self._queue.put(_NO_MAP)
 
     def add(self, keyframe: Keyframe) -> None:
         """Queue the next keyframe; return at once."""
@@ -114,7 +153,7 @@ class BackEndWorker:
 
     def figures(self) -> dict[str, object]:
         """Return what diagnostics show."""
-        back_end = self._back_end
+        back_end = self._map.back_end
         return {
             'loops': 0 if back_end is None else len(back_end.loops),
             'keyframes_unchecked': self._queue.qsize(),
@@ -128,22 +167,66 @@ class BackEndWorker:
     def _run(self) -> None:
         give_way()
         while (item := self._queue.get()) is not None:
-            if isinstance(item, tuple):
-                self._epoch, self._back_end = item
-            else:
+            try:
                 self._take(item)
+            except Exception as error:  # the map goes on, as it would without loops
+                self._map = _NO_MAP
+                self._warn(f'no loops are looked for any more: {error}')
 
-    def _take(self, keyframe: Keyframe) -> None:
-        """Add a keyframe, and work once no other waits."""
-        back_end = self._back_end
+    def _take(self, item: Keyframe | _Map) -> None:
+        """Begin with a map; or add a keyframe, and work once no other waits."""
+        if isinstance(item, _Map):
+            self._map = item.without_images()
+            item.restore()
+            return
+        back_end = self._map.back_end
         if back_end is None:
             return
-        try:
-            back_end.add(keyframe)
-            correction = back_end.work() if self._queue.empty() else None
-        except Exception as error:  # the map goes on, as it would without loops
-            self._back_end = None
-            self._warn(f'no loops are looked for any more: {error}')
-            return
+        back_end.add(item)
+        correction = back_end.work() if self._queue.empty() else None
         if correction is not None:
-            self._pass_on(correction, self._epoch)
+            self._pass_on(correction, self._map.epoch)
+
+
+@dataclass(frozen=True)
+class _Map:
+    epoch: int
+    back_end: BackEnd | None
+    known: KnownKeyframes | None = None
+    restored: threading.Event = field(default_factory=threading.Event)
+
+    def restore(self) -> None:
+        """Have the back end begin with what is known."""
+        known, back_end = self.known, self.back_end
+        if known is not None and back_end is not None:
+            back_end.restore(
+                known.stamps_ns, known.T_world_cam, known.submaps, known.keyframes, known.camera
+            )
+        self.restored.set()
+
+    def without_images(self) -> _Map:
+        """Return the same, which holds no images."""
+        return _Map(self.epoch, self.back_end)
+
+
+_NO_MAP = _Map(0, None)
+
+
+class _Places:
+    """The places of a map that is known: those of its file until the back end has them too."""
+
+    def __init__(self, known: Recogniser, all_: Recogniser, restored: threading.Event) -> None:
+        self._now, self._all, self._restored = known, all_, restored
+
+    def knows(self, keyframe: int) -> bool:
+        """Return whether a keyframe's place would be recognised."""
+        return self._newest().knows(keyframe)
+
+    def recognise(self, frame: RgbdFrame) -> list[Recognition]:
+        """Return where a frame may have been taken, the likeliest first."""
+        return self._newest().recognise(frame)
+
+    def _newest(self) -> Recogniser:
+        if self._restored.is_set():
+            self._now = self._all
+        return self._now

@@ -52,12 +52,6 @@ class KeptKeyframe:
         return self.packet.posed
 
     @property
-    def submap(self) -> int:
-        """The sub-map that the keyframe was made in."""
-        odometry = self.keyframe.odometry
-        return 0 if odometry is None else odometry.submap
-
-    @property
     def bytes(self) -> int:
         """Approximate size in memory."""
         return self.color.nbytes + self.depth.nbytes + _GAUSSIAN_BYTES * len(self.keyframe.ids)

@@ -195,6 +195,6 @@ class KeyframeSender:
 
     def _may_take_over(self, heir: int, dropped: int) -> bool:
         """Return whether the Gaussians of `dropped` reach the mapper, which may lack them."""
-        together = self._kept[heir].submap == self._kept[dropped].submap
+        together = self._kept[heir].keyframe.submap == self._kept[dropped].keyframe.submap
         reaches = dropped in self._received or heir not in self._received
         return heir not in self._sent_s and together and reaches

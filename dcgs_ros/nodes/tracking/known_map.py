@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
@@ -13,11 +13,12 @@ from ...core.backend.features import Features
 from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.tracking.tracker import Tracker
-from ...io.known_places import features_of, places_of
+from ...io.known_places import EncodedImages, features_of, keyframes_of, places_of
 from ...io.saved_tracker import SavedTracker
 from ...io.sessions import SavedSession
 from ...io.tracker_map import read_tracker_map, write_tracker_map
 from ..messages.ids import EPOCH, epoch_of_file
+from .back_end_worker import KnownKeyframes
 from .map_mirror import Resumable
 
 
@@ -38,6 +39,14 @@ class Known(Protocol):
         """Have a tracker that has tracked nothing yet go on in it."""
         ...
 
+    def keyframes(self, tracker: Tracker) -> KnownKeyframes:
+        """Return the keyframes for the back end of a tracker that goes on in it."""
+        ...
+
+    def without_images(self) -> Known:
+        """Return the same without what only `keyframes` needs."""
+        ...
+
 
 @dataclass(frozen=True)
 class KnownMap:
@@ -48,6 +57,7 @@ class KnownMap:
     tracker: SavedTracker
     sessions: tuple[SavedSession, ...]
     features: tuple[tuple[int, Features], ...]  # of the keyframes that have images
+    images: tuple[EncodedImages, ...] = ()
 
     @classmethod
     def read(cls, path: Path) -> KnownMap:
@@ -55,8 +65,9 @@ class KnownMap:
         known = read_tracker_map(path)
         features = features_of(known.images, known.camera, known.sensor)
         return cls(
-            epoch_of_file(path), known.camera, known.tracker, known.sessions, tuple(features)
-        )
+            epoch_of_file(path), known.camera, known.tracker, known.sessions, tuple(features),
+            known.images,
+        )  # fmt: skip
 
     @property
     def stamps_ns(self) -> tuple[int, ...]:
@@ -67,6 +78,18 @@ class KnownMap:
         """Have a tracker that has tracked nothing yet go on in the map."""
         self.tracker.resume(tracker, self.camera)
         tracker.recogniser = places_of(self.features, tracker.camera, tracker.config)
+
+    def keyframes(self, tracker: Tracker) -> KnownKeyframes:
+        """Return the keyframes for the back end of a tracker that goes on in the map."""
+        saved, undistorted = self.tracker, replace(self.camera, distortion=())
+        return KnownKeyframes(
+            self.stamps_ns, saved.poses, saved.submaps.tolist(),
+            keyframes_of(self.images, saved), undistorted, tracker.recogniser,
+        )  # fmt: skip
+
+    def without_images(self) -> KnownMap:
+        """Return the same without the images, which take some 0.2 MB a keyframe."""
+        return replace(self, images=())
 
     def __str__(self) -> str:
         """Return its size in words."""

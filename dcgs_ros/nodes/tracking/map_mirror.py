@@ -18,6 +18,7 @@ from ...core.tracking.gaussian_map import GaussianMap
 from ...core.tracking.tracker import Tracker
 from ..messages.ids import EPOCH, EPOCHS, split_ids
 from ..messages.maps import updated
+from .back_end_worker import KnownKeyframes
 
 _PENDING = 64  # updates kept until the whole map comes
 _ID_MARGIN = 1 << 16  # ids that the last tracker may have given out since its map was published
@@ -75,6 +76,7 @@ class Resumable:
     rows: NDArray[Any]  # (N,) MAP_GAUSSIAN of the tracker's Gaussians, all of this epoch
     poses: list[NDArray[np.float64]]  # T_world_cam (4, 4) of the keyframes
     stamps_ns: tuple[int, ...]  # of the keyframes
+    submaps: tuple[int, ...] = ()  # likewise; by default all 0
 
     def __str__(self) -> str:
         """Return its size in words."""
@@ -82,7 +84,10 @@ class Resumable:
 
     @staticmethod
     def of(
-        rows: NDArray[Any], poses: list[NDArray[np.float64]], stamps_ns: Iterable[int]
+        rows: NDArray[Any],
+        poses: list[NDArray[np.float64]],
+        stamps_ns: Iterable[int],
+        submaps: Iterable[int] = (),
     ) -> Resumable | None:
         """Select a tracker's Gaussians, of the highest epoch, from a map; None without any."""
         rows = rows[np.all([np.isfinite(rows[name]) for name in _USED], axis=0)]
@@ -93,11 +98,22 @@ class Resumable:
             return None
         epoch = int(epochs[measured].max())
         chosen = rows[measured & (epochs == epoch)]
-        return Resumable(epoch, chosen, poses, tuple(stamps_ns))
+        return Resumable(epoch, chosen, poses, tuple(stamps_ns), tuple(submaps))
 
     def resume(self, tracker: Tracker) -> None:
         """Have a tracker that has tracked nothing yet go on in the map."""
-        tracker.resume(self.gaussians(tracker.config), self.poses, self.stamps_ns)
+        gaussians = self.gaussians(tracker.config)
+        tracker.resume(gaussians, self.poses, self.stamps_ns, self.submaps)
+
+    def keyframes(self, tracker: Tracker) -> KnownKeyframes:
+        """Return the keyframes for the back end of the tracker, without images."""
+        return KnownKeyframes(
+            self.stamps_ns, np.array(self.poses), tracker.keyframe_submaps.tolist()
+        )
+
+    def without_images(self) -> Resumable:
+        """Return this: there are none in it."""
+        return self
 
     def gaussians(self, config: Config) -> GaussianMap:
         """Build the tracker's map, with the keyframes' positions as viewpoints."""

@@ -69,7 +69,8 @@ class MapperSubscriber:
             self._warn('another tracker is at work here: give each robot its own namespace')
             return None
         try:
-            return Resumable.of(rows, read_poses(keyframes), read_stamps(keyframes))
+            submaps = keyframes['submap'].tolist()
+            return Resumable.of(rows, read_poses(keyframes), read_stamps(keyframes), submaps)
         except MessageError as error:
             self._warn(f'map of the mapper refused: {error}')
             return None

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -32,6 +32,7 @@ from .known_map import Known, KnownMap
 
 _OTHER_CAMERA = 'the map was made with another camera: it can be tracked in, but not extended'
 _LOOKING = 'looking for the camera in the map'
+_STILL = 1e-6  # m and rad that rounding may move a keyframe which stays where it is
 
 
 class TrackingSession:
@@ -68,6 +69,7 @@ class TrackingSession:
         self._held = False  # whether the camera's place was known then
         self._keyframe_stamps: set[int] = set()
         self._names: dict[int, int] = {}  # stamps of this tracker's keyframes, by their index
+        self._others: dict[int, int] = {}  # the same of the tracker before, in whose map it is
         self._loops = loops or NoLoops()
 
     def resume(self, resumable: Known) -> None:
@@ -182,12 +184,23 @@ class TrackingSession:
             self.tracker.localize_only = self._localize_only
             if isinstance(self._resumable, KnownMap) and self._resumable.camera != camera:
                 self._warn(_OTHER_CAMERA)
-            self._loops.leave()
-        else:
-            self.tracker.recogniser = self._loops.begin(camera, self.config, self.epoch)
+        self._begin_loops(self.tracker)
         self._names.clear()
+        self._others = _unique(self.tracker.visited.stamps_ns)
         self._selector = KeyframeSelector(self.config.mapping.view_interval)
         return self.tracker
+
+    def _begin_loops(self, tracker: Tracker) -> None:
+        """Begin to look for loops, with the keyframes of the map that is gone on in."""
+        resumed, known = self._resumable, None
+        if resumed is not None:
+            known = resumed.keyframes(tracker)
+            self._resumable = resumed.without_images()
+        if self._localize_only:
+            self._loops.leave()
+            return
+        places = self._loops.begin(tracker.camera, self.config, self.epoch, known)
+        tracker.recogniser = places or tracker.recogniser
 
     def packets(
         self, frame: RgbdFrame, result: TrackResult, camera_frame: str
@@ -220,7 +233,7 @@ class TrackingSession:
     def _with_reference(self, posed: PosedFrame, result: TrackResult) -> PosedFrame:
         """Return a view with the name under which the mapper has the keyframe that it refers to.
 
-        Keyframes of another tracker are not corrected: a view need not refer to them.
+        Keyframes of another tracker have none unless they have moved.
         """
         if posed.reference is None or result.reference is None:
             return posed
@@ -238,10 +251,18 @@ class TrackingSession:
         applied = tracker.corrected_poses
         motions = applied.T_world_cam @ se3.inverse(np.reshape(before, (-1, 4, 4)))
         here = tracker.T_world_cam @ se3.inverse(camera)
+        self._names |= {
+            k: stamp_ns
+            for k, stamp_ns in self._others.items()
+            if np.abs(motions[k] - np.eye(4)).max() > _STILL
+        }
         return Corrected(applied, self._named(applied), motions, here)
 
     def _named(self, applied: Correction) -> Correction:
-        """Return the poses of the keyframes that were handed over, with their names."""
+        """Return the poses of the keyframes that the mapper may have, with their names.
+
+        They are those that were handed over, and those of the tracker before that have moved.
+        """
         rows = sorted(self._names)
         names = np.array([self._names[row] for row in rows], np.int64)
         return Correction(
@@ -276,3 +297,9 @@ class TrackingSession:
                 'revision': tracker.revision,
             }
         return shown if result is None else shown | numbers(result)
+
+
+def _unique(stamps_ns: Sequence[int]) -> dict[int, int]:
+    """Return the stamps that only one keyframe has, by its index: they name it."""
+    counts = Counter(stamps_ns)
+    return {k: stamp for k, stamp in enumerate(stamps_ns) if counts[stamp] == 1}

@@ -209,6 +209,29 @@ def test_restored_keyframes_stay_as_they_are_to_each_other() -> None:
         back_end.restore([0], walk.truth[:1])
 
 
+def test_restored_submaps_stay_apart_until_loops_join_them() -> None:
+    keyframes, truth, loops = in_two_submaps(0)
+    known, new = keyframes[:45], keyframes[45:]
+    odometries = [one.odometry for one in known]
+    submaps = [0 if one is None else one.submap for one in odometries]
+    T = np.array([one.T_world_cam for one in known])
+    back_end = BackEnd(CAMERA, Config(), Given(loops))
+    back_end._finder.keyframes = 45  # type: ignore[attr-defined]
+    back_end.restore([one.frame.stamp_ns for one in known], T, submaps)
+    corrections = []
+    for one in new:
+        back_end.add(one)
+        correction = back_end.work()
+        corrections += [] if correction is None else [correction]
+    joined = corrections[0]
+    assert joined.submaps.max() == 0 and joined.covariances.max() < 1.0
+    np.testing.assert_array_equal(joined.T_world_cam[:30], T[:30])
+    between = se3.inverse(T[30]) @ T[44]
+    moved = se3.inverse(joined.T_world_cam[30]) @ joined.T_world_cam[44]
+    np.testing.assert_allclose(moved, between, atol=1e-9)  # a sub-map moves as a whole
+    assert np.abs(joined.T_world_cam[30:45, :3, 3] - truth[30:45, :3, 3]).max() < 0.3
+
+
 def test_keyframes_come_in_their_order_and_with_odometry() -> None:
     walk, _ = two_laps(0)
     keyframes = list(walk.keyframes())

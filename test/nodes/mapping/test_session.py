@@ -614,3 +614,25 @@ def test_the_poses_of_another_trackers_map_move_nothing(session: MappingSession)
     for k in range(40):
         assert not session.correct(corrected(*packets), next_epoch(FIRST) + k)
     assert state(session) == before and len(session._corrections) < 10
+
+
+@pytest.mark.parametrize('corrected_first', [False, True])
+def test_submaps_of_keyframes_are_known_saved_and_joined(
+    session: MappingSession, tmp_path: Path, corrected_first: bool
+) -> None:
+    packets = [packet_of(k, FIRST) for k in range(3)]
+    packets[1:] = [changed(packet, submap=1) for packet in packets[1:]]
+    if corrected_first:
+        joined = replace(corrected(*packets[:2]), submaps=np.zeros(2, np.int32))
+        session.correct(joined, FIRST)
+    for packet in packets:
+        session.insert(packet)
+    session.insert(packet_of(3, 0))  # a view that tells no keyframe
+    expected = [0, 0, 1, 1] if corrected_first else [0, 1, 1, 1]
+    assert session.mapper is not None and session.mapper.submaps == expected
+    path = Path(session.save(tmp_path).rpartition(' in ')[2]) / 'map.dcgs'
+    assert read_map(path).tracker.submaps.tolist() == expected[:3]
+    again = MappingSession(CONFIG, print)
+    again.load(path)
+    assert again.mapper is not None and again.mapper.submaps == expected
+    again.close()

@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 pytest.importorskip('rclpy')
 
 from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Header
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe, KeyframePose, MapUpdate, PosedFrame
-from dcgs_ros.io.ros_images import stamp_ns
+from dcgs_ros.io.ros_images import MessageError, stamp_ns
 from dcgs_ros.nodes.mapping.keyframe_subscriber import Joiner
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_GAUSSIAN, SHAPE, read_cloud, write_cloud
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, first_epoch, is_epoch, joined_ids
@@ -91,6 +92,18 @@ def test_a_keyframe_arrives_as_it_was(
     np.testing.assert_array_equal(other.means, one.means)
     np.testing.assert_array_equal(other.normals, one.normals)
     assert other.means.dtype == other.normals.dtype == np.float32
+
+
+def test_a_keyframe_tells_its_submap() -> None:
+    packet = packet_of()
+    there = replace(packet, posed=replace(keyframe_of(packet), submap=3))
+    assert keyframe_of(read_keyframe(sent(there))).submap == 3
+    rows = read_cloud(sent(there)['gaussians'], KEYFRAME_GAUSSIAN)
+    for value in (-1, 4):
+        rows['submap'][-1] = value
+        parts = sent(there) | {'gaussians': write_cloud(rows, Header())}
+        with pytest.raises(MessageError, match='in sub-maps'):
+            read_keyframe(parts)
 
 
 def assert_same_view(found: PosedFrame, sent: PosedFrame) -> None:

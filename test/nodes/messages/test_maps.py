@@ -124,7 +124,9 @@ def test_the_tracking_covariance_is_the_sensors_as_the_host_saw_it() -> None:
 @pytest.mark.filterwarnings('error')
 def test_an_empty_map_and_one_without_views_have_no_rows() -> None:
     empty = mapper_with(np.empty(0, np.int64), views=0)
-    assert map_rows(empty).shape == (0,) and keyframe_rows(empty.views).shape == (0,)
+    assert map_rows(empty).shape == (0,) and keyframe_rows(empty.views, empty.submaps).shape == (
+        0,
+    )
 
 
 @pytest.mark.filterwarnings('error')
@@ -148,8 +150,8 @@ def test_no_row_is_of_what_is_not_finite(garbage: float) -> None:
 def test_keyframes_tell_stamps_to_the_nanosecond_and_refined_poses() -> None:
     stamps = [0, 999_999_999, 10**9, 1_700_000_000_123_456_789, (2**31 - 1) * 10**9 + 999_999_999]
     views = [view_of(k, stamp) for k, stamp in enumerate(stamps)]
-    rows = keyframe_rows(views)
-    assert read_stamps(rows) == stamps
+    rows = keyframe_rows(views, range(5))
+    assert read_stamps(rows) == stamps and rows['submap'].tolist() == [0, 1, 2, 3, 4]
     for view, T in zip(views, read_poses(rows), strict=True):
         np.testing.assert_allclose(T, view.T_world_cam, atol=POSE)
         np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
@@ -159,7 +161,7 @@ def test_keyframes_tell_stamps_to_the_nanosecond_and_refined_poses() -> None:
 @pytest.mark.parametrize('names', ['x', 'qw', 'qx qy qz qw'])
 @pytest.mark.parametrize('value', [np.nan, np.inf, 0.0])
 def test_keyframes_without_a_pose_are_refused(names: str, value: float) -> None:
-    rows = keyframe_rows([view_of(k, k) for k in range(3)])
+    rows = keyframe_rows([view_of(k, k) for k in range(3)], [0] * 3)
     for name in names.split():
         rows[name][1] = value
     if value == 0.0 and names != 'qx qy qz qw':

@@ -8,7 +8,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Correction, Keyframe
-from dcgs_ros.nodes.tracking.back_end_worker import BackEndWorker, NoLoops
+from dcgs_ros.nodes.tracking.back_end_worker import BackEndWorker, KnownKeyframes, NoLoops
 
 CAMERA = PinholeCamera(16, 16, 14.0, 14.0, 7.5, 7.5)
 SOON_S = 20.0  # only a failure takes so long
@@ -37,9 +38,16 @@ class Scripted:
         self.places: Any = object()
         self.loops: list[object] = []
         self.added, self.nice = 0, -1
+        self.restored: list[Any] = []
         self.go = threading.Event()
         self.go.set()
         self.broken = False
+
+    def restore(self, *known: Any) -> None:
+        assert self.go.wait(SOON_S)
+        self.restored = [list(part) if isinstance(part, Iterable) else part for part in known]
+        if self.broken:
+            raise ValueError('graph of 3 keyframes')
 
     def add(self, keyframe: Keyframe) -> None:
         self.added += 1
@@ -62,13 +70,14 @@ class Scripted:
 
 class Bench:
     def __init__(self) -> None:
+        self.scripted = Scripted()  # the first that is made
         self.made: list[Scripted] = []
         self.corrections: list[tuple[int, int]] = []  # revision and epoch
         self.warnings: list[str] = []
         self.worker = BackEndWorker(self._make, self._take, self.warnings.append)
 
     def _make(self, camera: PinholeCamera, config: Config) -> Scripted:
-        self.made.append(Scripted())
+        self.made.append(Scripted() if self.made else self.scripted)
         return self.made[-1]
 
     def _take(self, correction: Correction, epoch: int) -> None:
@@ -90,7 +99,7 @@ def bench() -> Iterator[Bench]:
 
 def test_corrections_come_with_the_epoch_of_their_map(bench: Bench) -> None:
     for epoch in (300, 301):
-        places = bench.worker.begin(CAMERA, Config(), epoch)
+        places = bench.worker.begin(CAMERA, Config(), epoch, None)
         assert places is bench.made[-1].places
         for count in (1, 2):
             bench.worker.add(keyframe())
@@ -103,7 +112,7 @@ def test_corrections_come_with_the_epoch_of_their_map(bench: Bench) -> None:
 
 
 def test_whoever_adds_keyframes_does_not_wait_for_the_work(bench: Bench) -> None:
-    bench.worker.begin(CAMERA, Config(), 300)
+    bench.worker.begin(CAMERA, Config(), 300, None)
     back_end = bench.made[-1]
     back_end.go.clear()
     bench.worker.add(keyframe())
@@ -119,13 +128,13 @@ def test_whoever_adds_keyframes_does_not_wait_for_the_work(bench: Bench) -> None
 
 
 def test_a_back_end_that_fails_is_left_and_the_next_map_has_another(bench: Bench) -> None:
-    bench.worker.begin(CAMERA, Config(), 300)
+    bench.worker.begin(CAMERA, Config(), 300, None)
     bench.made[-1].broken = True
     bench.worker.add(keyframe())
     bench.wait(lambda: bool(bench.warnings))
     assert 'graph of 3 keyframes' in bench.warnings[0]
     bench.worker.add(keyframe())
-    bench.worker.begin(CAMERA, Config(), 301)
+    bench.worker.begin(CAMERA, Config(), 301, None)
     for _ in range(2):
         bench.worker.add(keyframe())
     bench.wait(lambda: bench.made[-1].added == 2)
@@ -133,11 +142,34 @@ def test_a_back_end_that_fails_is_left_and_the_next_map_has_another(bench: Bench
     assert bench.made[0].added == 1 and len(bench.warnings) == 1
 
 
-def test_in_a_map_of_another_tracker_nothing_is_done(bench: Bench) -> None:
-    bench.worker.begin(CAMERA, Config(), 300)
+def knowing(name: str) -> Any:
+    return SimpleNamespace(recognise=lambda _: [name], knows=lambda k: name == 'all')
+
+
+@pytest.mark.parametrize('broken', [False, True])
+def test_a_known_map_is_taken_in_by_the_thread_and_its_places_are_known_meanwhile(
+    bench: Bench, broken: bool
+) -> None:
+    bench.scripted.go.clear()
+    bench.scripted.broken, bench.scripted.places = broken, knowing('all')
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    known = KnownKeyframes([4, 5], poses, [0, 1], iter([keyframe()]), CAMERA, knowing('file'))
+    places: Any = bench.worker.begin(CAMERA, Config(), 300, known)
+    bench.worker.add(keyframe())
+    assert places.recognise(FRAME) == ['file'] and not places.knows(0)
+    bench.made[-1].go.set()
+    bench.wait(lambda: bool(bench.warnings if broken else bench.made[-1].added))
+    stamps, _, submaps, keyframes, _ = bench.made[-1].restored
+    assert (stamps, submaps, len(keyframes)) == ([4, 5], [0, 1], 1)
+    assert places.recognise(FRAME) == (['file'] if broken else ['all'])
+    assert places.knows(0) is not broken
+
+
+def test_in_a_map_that_is_not_to_change_nothing_is_done(bench: Bench) -> None:
+    bench.worker.begin(CAMERA, Config(), 300, None)
     bench.worker.leave()
     bench.worker.add(keyframe())
-    bench.worker.begin(CAMERA, Config(), 301)
+    bench.worker.begin(CAMERA, Config(), 301, None)
     bench.worker.add(keyframe())
     bench.wait(lambda: bench.made[1].added == 1)
     assert bench.made[0].added == 0
@@ -145,7 +177,7 @@ def test_in_a_map_of_another_tracker_nothing_is_done(bench: Bench) -> None:
 
 def test_without_loops_there_is_nothing() -> None:
     loops = NoLoops()
-    loops.begin(CAMERA, Config(), 300)
+    loops.begin(CAMERA, Config(), 300, None)
     loops.leave()
     loops.add(keyframe())
     loops.close()

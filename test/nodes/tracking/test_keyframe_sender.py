@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.keyframe import Correction, Keyframe, Odometry, PosedFrame
+from dcgs_ros.core.keyframe import Correction, Keyframe, PosedFrame
 from dcgs_ros.nodes.messages.packet import KeyframePacket
 from dcgs_ros.nodes.tracking import keyframe_sender as module
 from dcgs_ros.nodes.tracking.keyframe_sender import KeyframeSender
@@ -241,11 +241,7 @@ def test_what_the_mapper_has_is_thinned_too_and_comes_back_if_it_restarts() -> N
 
 
 def in_submap(packet: KeyframePacket, submap: int) -> KeyframePacket:
-    odometry = Odometry(
-        packet.stamp_ns, submap, np.empty(0, np.int32), np.empty((0, 4, 4)),
-        np.empty((0, 6, 6)), np.zeros((6, 6)),
-    )  # fmt: skip
-    return replace(packet, posed=replace(keyframe_of(packet), odometry=odometry))
+    return replace(packet, posed=replace(keyframe_of(packet), submap=submap))
 
 
 def test_gaussians_of_two_sub_maps_never_share_a_keyframe() -> None:

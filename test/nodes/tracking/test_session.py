@@ -31,6 +31,7 @@ from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, epoch_of_file, same_tracker
 from dcgs_ros.nodes.messages.packet import KeyframePacket
+from dcgs_ros.nodes.tracking.back_end_worker import KnownKeyframes
 from dcgs_ros.nodes.tracking.known_map import KnownMap, preferred, save
 from dcgs_ros.nodes.tracking.map_mirror import Resumable
 from dcgs_ros.nodes.tracking.session import TrackingSession
@@ -576,9 +577,13 @@ class Listening:
 
     def __init__(self) -> None:
         self.heard: list[str | int] = []
+        self.known: KnownKeyframes | None = None
 
-    def begin(self, camera: PinholeCamera, config: Config, epoch: int) -> None:
+    def begin(
+        self, camera: PinholeCamera, config: Config, epoch: int, known: KnownKeyframes | None
+    ) -> None:
         self.heard.append('begin')
+        self.known = known
 
     def leave(self) -> None:
         self.heard.append('leave')
@@ -596,6 +601,57 @@ def test_the_back_end_gets_every_keyframe_of_each_map_in_order() -> None:
     feeder.session.reset()
     feeder.feed(frames[4:6])
     assert listening.heard == ['begin', 0, 1, 2, 'begin', 0]
+
+
+def test_the_back_end_gets_the_keyframes_of_a_map_that_is_gone_on_in(tmp_path: Path) -> None:
+    frames, before = frames_of(HALF), Feeder(EAGER)
+    before.feed(frames[:8])
+    known, found = KnownMap.read(saved_by(before, tmp_path)), resumable_of(before)
+    for resumed in (known, found):
+        listening, after = Listening(), Feeder(EAGER)
+        after.session._loops = listening
+        after.session.resume(resumed)
+        after.feed(frames[6:])
+        got, count = listening.known, len(resumed.stamps_ns)
+        assert got is not None and len(got.T_world_cam) == len(got.submaps) == count
+        assert tuple(got.stamps_ns) == tuple(resumed.stamps_ns)
+        numbers = [n for n in listening.heard if isinstance(n, int)]
+        assert listening.heard[0] == 'begin' and numbers and numbers[0] == count
+        after.session.reset()
+        after.feed(frames[6:8], by_ns=SECOND)
+        assert listening.known is None  # a new map
+
+
+def test_the_submaps_of_a_resumed_map_are_its_own() -> None:
+    frames, before = frames_of(HALF), Feeder(EAGER)
+    before.feed(frames[:8])
+    found, after = resumable_of(before), Feeder(EAGER)
+    after.session._loops = listening = Listening()
+    submaps = (1,) * len(found.poses)
+    after.session.resume(replace(found, submaps=submaps))
+    result = after.feed(frames[7:8])[0]
+    assert result is not None and result.submap == 1  # its place in the map is not known
+    assert listening.known is not None and tuple(listening.known.submaps) == submaps
+
+
+def test_keyframes_of_the_tracker_before_are_told_of_once_they_move() -> None:
+    frames, before = frames_of(HALF), Feeder(EAGER)
+    before.feed(frames[:8])
+    stamps = [7, 7, *range(8, 6 + len(before.packets))]
+    found, after = resumable_of(before, stamps), Feeder(EAGER)
+    after.session.resume(found)
+    after.feed(frames[6:])
+    tracker = after.session.tracker
+    assert tracker is not None
+    own, theirs = len(after.session._names), len(found.stamps_ns)
+    now = tracker.corrected_poses
+    stays = after.session.correct(replace(now, revision=1), after.session.epoch)
+    assert own and stays is not None and len(stays.named.stamps_ns) == own
+    T = ASIDE @ now.T_world_cam
+    moved = after.session.correct(replace(now, revision=2, T_world_cam=T), after.session.epoch)
+    assert moved is not None and len(moved.named.stamps_ns) == own + theirs - 2
+    np.testing.assert_allclose(moved.named.T_world_cam[0], T[2], atol=1e-9)
+    assert moved.named.stamps_ns[0] == 8  # 7 names two
 
 
 def saved_by(feeder: Feeder, folder: Path) -> Path:

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whether covariances are honest: `python -m benchmarks.consistency [--seeds 5] [--data FOLDER]`.
 
+`--ablation` takes those of `dcgs run`; with `--seeds 0` there are the real sequences only.
+
 NEES of the motion over a second, e^T P^-1 e with e = log(inv(dT_true) dT) and P the covariances of
 both ends in the frame of the later one: 6 on average if they are right, 5.35 in the median.
 
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
@@ -144,12 +147,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, default=5)
     parser.add_argument('--frames', type=int, default=300)
+    parser.add_argument('--ablation', default='full')
     parser.add_argument('--data', type=Path, default=os.environ.get('DCGS_TEST_DATA'))
     arguments = parser.parse_args()
     print(f'{"":44s} median   mean   t     r   2 sigma %  worst / 3 sigma')
     for address, name in _runs(arguments):
         source = open_source(address)
-        tracker = Tracker(source.camera, Config(sensor=source.sensor))
+        config = override(Config(sensor=source.sensor), {'ablation': arguments.ablation})
+        tracker = Tracker(source.camera, config)
         results = [tracker.track(frame) for frame in source if isinstance(frame, RgbdFrame)]
         if source.groundtruth is None:
             raise SystemExit(f'{source.name} has no ground truth')

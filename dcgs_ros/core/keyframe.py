@@ -71,6 +71,16 @@ class Keyframe(PosedFrame):
     sightings: Sightings | None = None  # None: likewise
     submap: int = 0  # in which it was made
 
+    @property
+    def has_image(self) -> bool:
+        """Return whether its images are there."""
+        return self.frame.depth_m.size > 1
+
+    def without_image(self) -> Keyframe:
+        """Return it with images of one pixel."""
+        color, depth_m = self.frame.color[:1, :1].copy(), np.ones((1, 1), np.float32)
+        return replace(self, frame=replace(self.frame, color=color, depth_m=depth_m))
+
     def moved(self, motion: NDArray[np.float64]) -> Keyframe:
         """Return it and its Gaussians moved by `motion` (4, 4), in the world."""
         return replace(

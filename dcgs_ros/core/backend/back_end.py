@@ -67,7 +67,11 @@ class BackEnd:
         self._told_submaps: list[int] = []
 
     def add(self, keyframe: Keyframe) -> None:
-        """Take the tracker's next keyframe; nothing is done with it yet."""
+        """Take the tracker's next keyframe; nothing is done with it yet.
+
+        One without an image (`Keyframe.without_image`) is placed by its odometry, and no loop is
+        looked for with it.
+        """
         self._queue.put(keyframe)
 
     def work(self) -> Correction | None:
@@ -78,7 +82,8 @@ class BackEnd:
         while not self._queue.empty():
             keyframe = self._queue.get()
             self._insert(keyframe)
-            self._close(len(self._graph) - 1)
+            if keyframe.has_image:
+                self._close(len(self._graph) - 1)
         if not self._moved:
             return None
         self._moved = False
@@ -155,7 +160,8 @@ class BackEnd:
         self._told = np.concatenate([self._told, [T]])
         host = int(odometry.hosts[-1]) if len(odometry.hosts) else -1
         self._told_submaps.append(self._told_submaps[host] if host >= 0 else odometry.submap)
-        self._finder.add(keyframe)
+        if keyframe.has_image:
+            self._finder.add(keyframe)
 
     def _close(self, keyframe: int) -> None:
         """Look for loops of a keyframe, and optimise with those that are believed."""

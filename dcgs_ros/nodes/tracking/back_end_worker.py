@@ -21,6 +21,7 @@ from ...core.keyframe import Correction, Keyframe
 from ...core.tracking.relocalization import Recogniser, Recognition
 
 _END_S = 5.0
+_MOST_IMAGES = 50  # of keyframes that wait: 1.5 MB each at 640x480
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class BackEndWorker:
         self._queue: queue.SimpleQueue[Keyframe | _Map | None]
         self._queue = queue.SimpleQueue()
         self._map = _NO_MAP  # whose keyframes come
+        self._bare = self._told = 0  # keyframes that came without their images; last warned of
         self._thread = threading.Thread(target=self._run, name='back end', daemon=True)
         self._thread.start()
 
@@ -148,7 +150,13 @@ class BackEndWorker:
         self._queue.put(_NO_MAP)
 
     def add(self, keyframe: Keyframe) -> None:
-        """Queue the next keyframe; return at once."""
+        """Queue the next keyframe; return at once.
+
+        While too many wait it goes without its images: it is placed by its odometry alone.
+        """
+        if self._queue.qsize() >= _MOST_IMAGES:
+            keyframe = keyframe.without_image()
+            self._bare += 1
         self._queue.put(keyframe)
 
     def figures(self) -> dict[str, object]:
@@ -157,6 +165,7 @@ class BackEndWorker:
         return {
             'loops': 0 if back_end is None else len(back_end.loops),
             'keyframes_unchecked': self._queue.qsize(),
+            'keyframes_passed_over': self._bare,
         }
 
     def close(self) -> None:
@@ -183,6 +192,12 @@ class BackEndWorker:
         if back_end is None:
             return
         back_end.add(item)
+        if self._bare > self._told and self._queue.empty():
+            self._warn(
+                f'loops are looked for too slowly: {self._bare - self._told} keyframes were '
+                f'passed over while {_MOST_IMAGES} waited'
+            )
+            self._told = self._bare
         correction = back_end.work() if self._queue.empty() else None
         if correction is not None:
             self._pass_on(correction, self._map.epoch)

@@ -232,6 +232,18 @@ def test_restored_submaps_stay_apart_until_loops_join_them() -> None:
     assert np.abs(joined.T_world_cam[30:45, :3, 3] - truth[30:45, :3, 3]).max() < 0.3
 
 
+def test_keyframes_without_images_are_placed_and_no_loop_is_looked_for() -> None:
+    walk, loops = two_laps(4, drift=2.0)
+    finder = Given(loops)
+    back_end = BackEnd(CAMERA, Config(), finder)
+    bare = [one.without_image() for one in walk.keyframes()]
+    for one in bare[:3]:
+        back_end.add(one)
+        assert back_end.work() is None
+    assert back_end.keyframes == 3 and finder.keyframes == 0
+    assert not any(one.has_image for one in bare)
+
+
 def test_keyframes_come_in_their_order_and_with_odometry() -> None:
     walk, _ = two_laps(0)
     keyframes = list(walk.keyframes())

@@ -59,7 +59,7 @@ class Walk:
 def keyframe(k: int, T_world_cam: NDArray[np.float64], odometry: Odometry) -> Keyframe:
     """Return a keyframe without image or Gaussians."""
     stamp_ns = (k + 1) * 10**9
-    frame = RgbdFrame(stamp_ns, stamp_ns, np.zeros((1, 1, 3), np.uint8), np.ones((1, 1), 'f4'))
+    frame = RgbdFrame(stamp_ns, stamp_ns, np.zeros((2, 2, 3), np.uint8), np.ones((2, 2), 'f4'))
     none = np.empty((0, 3), np.float32)
     return Keyframe(frame, T_world_cam, np.eye(4), np.empty(0, np.int64), none, none, odometry)
 

@@ -39,6 +39,7 @@ class Scripted:
         self.loops: list[object] = []
         self.added, self.nice = 0, -1
         self.restored: list[Any] = []
+        self.with_images = 0
         self.go = threading.Event()
         self.go.set()
         self.broken = False
@@ -51,6 +52,7 @@ class Scripted:
 
     def add(self, keyframe: Keyframe) -> None:
         self.added += 1
+        self.with_images += keyframe.has_image
 
     def work(self) -> Correction | None:
         assert self.go.wait(SOON_S)
@@ -125,6 +127,25 @@ def test_whoever_adds_keyframes_does_not_wait_for_the_work(bench: Bench) -> None
     back_end.go.set()
     bench.wait(lambda: back_end.added == 51)
     assert not bench.corrections  # what waits is taken in before anything is computed again
+
+
+def test_of_many_that_wait_the_newest_go_without_their_images(bench: Bench) -> None:
+    bench.worker.begin(CAMERA, Config(), 300, None)
+    back_end = bench.made[-1]
+    back_end.go.clear()
+    bench.worker.add(keyframe())
+    bench.wait(lambda: back_end.added == 1)
+    for _ in range(57):
+        bench.worker.add(keyframe())
+    assert bench.worker.figures()['keyframes_passed_over'] == 7
+    back_end.go.set()
+    bench.wait(lambda: back_end.added == 58)
+    assert back_end.with_images == 51
+    bench.wait(lambda: bool(bench.warnings))
+    assert '7 keyframes were passed over while 50 waited' in bench.warnings[0]
+    bench.worker.add(keyframe())
+    bench.wait(lambda: back_end.added == 59)
+    assert back_end.with_images == 52 and len(bench.warnings) == 1
 
 
 def test_a_back_end_that_fails_is_left_and_the_next_map_has_another(bench: Bench) -> None:

@@ -18,11 +18,12 @@ from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from ..keyframe import PosedFrame
+from ..priors.fusion import Sensed
 from .cloud import FrameCloud, sample_cloud
 from .factors import PointFactors, PosePrior
 from .gaussian_map import GaussianMap
 from .landmarks import Landmarks
-from .motion import ConstantVelocity
+from .motion import ConstantVelocity, LocalMotion
 from .registration import DepthTerm, Registration, register, start_from_landmarks
 
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
@@ -52,6 +53,30 @@ class Memory:
     landmarks: Landmarks = field(default_factory=Landmarks.none)  # pixels in that image
     spread: NDArray[np.int64] | None = None  # landmarks in each cell at the last detection
     overlap: float = 0.0  # of the last frame
+    sensed: Sensed | None = None  # by other sensors, from the last pose to the frame at hand
+
+    def prior(self, stamp_ns: int) -> PosePrior:
+        """Return the pose at the next frame's stamp by all that is known without the frame."""
+        hand, motion = self.motion.prior(stamp_ns), self.motion
+        if self.sensed is None:
+            return hand
+        return self.sensed.fused(hand, motion.T_world_cam, motion.twist)
+
+    def arriving(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> LocalMotion:
+        """Return the motion on arrival at a pose (4, 4), turning as the gyro says, if there is one."""
+        motion = self.motion.arriving(T_world_cam, stamp_ns)
+        turn = None if self.sensed is None else self.sensed.turn
+        if turn is None:
+            return motion
+        return LocalMotion(
+            np.concatenate([motion.twist[:3], turn.end_rate]),
+            np.concatenate([motion.acceleration[:3], turn.end_acceleration]),
+        )
+
+    def is_gap(self, stamp_ns: int) -> bool:
+        """Return whether the motion since the last pose is unknown."""
+        spanned = self.sensed is not None and self.sensed.spans
+        return self.motion.is_gap(stamp_ns) and not spanned
 
     def moved(self, motions: NDArray[np.float64], T: NDArray[np.float64]) -> Memory:
         """Return it after keyframes moved by `motions` (K, 4, 4), and the camera by T (4, 4)."""
@@ -71,14 +96,14 @@ class Memory:
         self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return T_cam_cam_at_depth (4, 4) of a frame whose colour was taken at `T_world_cam`."""
-        motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
+        motion = self.arriving(T_world_cam, frame.stamp_ns)
         return motion.pose_after(self.lag_s(frame))
 
     def depth_twist(
         self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the camera's twist (6,) per second at the depth's instant of such a frame."""
-        motion = self.motion.arriving(T_world_cam, frame.stamp_ns)
+        motion = self.arriving(T_world_cam, frame.stamp_ns)
         return motion.twist_after(self.lag_s(frame))
 
 
@@ -118,8 +143,8 @@ def estimate(
     grey = to_grey(frame.color)
     fresh = memory.image is None or not np.array_equal(grey, memory.image.grey)
 
-    # The motion so far, continued at constant velocity.
-    prior = memory.motion.prior(frame.stamp_ns)
+    # The motion so far, continued at constant velocity, or as other sensors say.
+    prior = memory.prior(frame.stamp_ns)
 
     # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
     landmarks = _followed(grey, memory, prior, camera, config) if fresh else memory.landmarks
@@ -147,7 +172,7 @@ def estimate(
             found = replace(alone, image=image)
 
     T = found.T_world_cam
-    motion, lag_s = memory.motion.arriving(T, frame.stamp_ns), memory.lag_s(frame)
+    motion, lag_s = memory.arriving(T, frame.stamp_ns), memory.lag_s(frame)
     registered = RegisteredFrame(
         frame, T, motion.pose_after(lag_s), grey, motion.twist, motion.twist_after(lag_s)
     )
@@ -215,7 +240,7 @@ def _measured(
     """Return the factors of the landmarks, if there are enough to tell anything."""
     if len(landmarks) < _FEWEST:
         return None
-    T, twist = T_world_cam, memory.motion.arriving(T_world_cam, frame.stamp_ns).twist
+    T, twist = T_world_cam, memory.arriving(T_world_cam, frame.stamp_ns).twist
     weight = config.shared_klt_weight if config.ablation == 'shared_klt' else 1.0
     return landmarks.measured(
         frame.depth_m, T, memory.depth_motion(frame, T), twist, camera, config.sensor,

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,6 +18,8 @@ from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
+from ..priors.motion_priors import MotionPriors
+from ..priors.readings import AngularRate, BasePose
 from .claims import Claim, Clocks, PoseClaims
 from .corners import spread
 from .depth_bias import DepthBias
@@ -41,6 +44,8 @@ _AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move
 _SEARCH_STEP_S = 0.2  # that a frame counts for at most in a search
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
+# How far other sensors carry a pose: while the turn is known, and the way, or not for long.
+_CARRIED_RAD, _CARRIED_M, _CARRIED_NS = 0.1, 0.5, 3_000_000_000
 
 
 class Tracker:
@@ -51,9 +56,11 @@ class Tracker:
         camera: PinholeCamera,
         config: Config | None = None,
         T_world_first: NDArray[np.float64] | None = None,
+        priors: MotionPriors | None = None,
     ) -> None:
         """Start with an empty map; the first frame is at `T_world_first`, identity by default.
 
+        `priors` are what the robot's other sensors tell, and where those are.
         `config.threads` holds for the thread that makes the tracker, which is to call `track` too.
         """
         self.camera = camera
@@ -84,7 +91,13 @@ class Tracker:
         self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
+        self.priors = priors or MotionPriors(self._config.priors)
+        self._seen_ns = 0  # stamp of the last frame that was tracked
         self.threads = jit.set_threads(self._config.threads)
+
+    def sense(self, reading: AngularRate | BasePose) -> None:
+        """Take what another sensor measured, before the frames that were taken later."""
+        self.priors.sense(reading)
 
     def track(self, frame: RgbdFrame) -> TrackResult:
         """Register a frame, and make it a keyframe where the view has moved on.
@@ -98,6 +111,8 @@ class Tracker:
         self._received, frame = frame, self.corrected(frame)
         if not self._begun:
             return self._begin(frame)
+        sensed = self.priors.since(self._memory.motion, frame.stamp_ns)
+        self._memory = replace(self._memory, sensed=sensed)
         if repeated:
             return self._repeated(frame)
         self._standstill = None
@@ -127,7 +142,12 @@ class Tracker:
             self._held.append(self._extend_map(found.registered, last, claim))
         elif found.fresh and self._runs_out_of_landmarks():
             self._anchor_landmarks(found.registered)
-        return self._result(found, uncertainty, claim, keyframe)
+        result = self._result(found, uncertainty, claim, keyframe)
+        if sure and result.state is TrackingState.OK:
+            self.priors.learn(frame.stamp_ns, result.T_world_cam, result.covariance)
+        else:
+            self.priors.forget()
+        return result
 
     def _repeated(self, frame: RgbdFrame) -> TrackResult:
         """Keep the pose of a camera that may stand still; other repeated images are a fault."""
@@ -205,6 +225,7 @@ class Tracker:
         motions = self._visited.correct(correction)
         self.revision = correction.revision
         here = motions[self._host]
+        self.priors.forget()
         self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
@@ -293,7 +314,8 @@ class Tracker:
     def _lose(self) -> Relocalizer:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
         self._first = None
-        self._memory = self._forgotten(self._memory.motion)
+        self._memory = replace(self._forgotten(self._memory.motion), sensed=self._memory.sensed)
+        self.priors.forget()
         self._relocalizer = Relocalizer(self.T_world_cam, self._unrecognisable(), self._usual)
         self._searched_s, self._search_ns = 0.0, self._memory.motion.stamp_ns
         return self._relocalizer
@@ -355,6 +377,7 @@ class Tracker:
         claim: Claim,
     ) -> Keyframe:
         self._claims.begin(T_world_cam, frame.stamp_ns)
+        self.priors.begin(T_world_cam)
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist, twist)
@@ -427,9 +450,9 @@ class Tracker:
         config = self._config
         cloud = sample(frame, self.camera, config, config.cloud.stride_px, np.zeros(6))
         depth = DepthTerm(cloud, self.gaussians, self.camera.focal, config)
-        motion = self._memory.motion
-        if not motion.is_gap(frame.stamp_ns):
-            guesses = [*guesses, motion.predict(frame.stamp_ns)]
+        memory, prior = self._memory, self._memory.prior(frame.stamp_ns)
+        if not memory.is_gap(frame.stamp_ns):
+            guesses = [*guesses, prior.T_world_cam]
         places = self._recognised(frame) if relocalizer.wants_places else []
         best = relocalizer.best(depth, config, guesses, places)
         T = best.T_world_cam
@@ -444,8 +467,8 @@ class Tracker:
         if claims.is_degenerate(spectrum, claims.measured(uncertainty, self._clocks)):
             return self._lost(frame, best)  # it may be anywhere along that direction
         doubt = claims.in_doubt(uncertainty, self._clocks)
-        jump = jump_sigmas(T, motion.prior(frame.stamp_ns), doubt)
-        if not motion.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
+        jump = jump_sigmas(T, prior, doubt)
+        if not memory.is_gap(frame.stamp_ns) and jump > JUMP_SIGMAS:
             return self._lost(frame, best)  # it cannot have got there
         self._relocalizer, self._unconfirmed = None, _CONFIRMATIONS
         self._host = int(np.bincount(best.hosts).argmax())
@@ -481,13 +504,32 @@ class Tracker:
         ]  # fmt: skip
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
-        """Report the last good pose; the next frame goes on from the last good one too."""
+        """Report the last good pose, or where other sensors carry it; the next goes on from it."""
         points, inliers = (0, 0) if found is None else (len(found.depth.points), found.inliers)
+        state, covariance, in_world = TrackingState.LOST, _LOST_COVARIANCE, _LOST_COVARIANCE
+        if self._carries(frame.stamp_ns) and self._claims.limit is not None:
+            state, covariance = TrackingState.DEGENERATE, self._claims.limit.covariance
+            hosts = np.array([self._host], np.int32)
+            in_world = self._visited.in_world(self.T_world_cam, covariance, hosts)
         return TrackResult(
-            frame.stamp_ns, self.T_world_cam, np.eye(4), _LOST_COVARIANCE, _LOST_COVARIANCE,
-            TrackingState.LOST, None, points, inliers, 0, False, self.flush(),
+            frame.stamp_ns, self.T_world_cam, np.eye(4), covariance, in_world, state, None, points, inliers, 0, False, self.flush(),
             1e3 * self._offset.seconds, self._reference(self.T_world_cam),
         )  # fmt: skip
+
+    def _carries(self, stamp_ns: int) -> bool:
+        """Move the last pose on by what other sensors tell, as long as that is worth something."""
+        sensed, claims, motion = self._memory.sensed, self._claims, self._memory.motion
+        if sensed is None or not sensed.spans or claims.limit is None:
+            return False
+        T = self._memory.prior(stamp_ns).T_world_cam
+        covariance = claims.carry(T, stamp_ns, sensed.factors)
+        self._memory = replace(self._memory, motion=motion.advanced(T, stamp_ns))
+        way_m, turn_rad = (
+            math.sqrt(np.linalg.eigvalsh(block)[-1])
+            for block in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        soon = stamp_ns - self._seen_ns < _CARRIED_NS
+        return turn_rad < _CARRIED_RAD and (soon or way_m < _CARRIED_M)
 
     def _accept(self, found: Estimate, evidence: Evidence) -> None:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
@@ -502,7 +544,7 @@ class Tracker:
         if found.image is not None:  # depth and image, each alone, tell the offset between them
             agreeing = found.image[found.image.chi2(T) < _AGREEING_CHI2]
             image = agreeing.across_rays().normal_equations(T)
-            twist = memory.motion.arriving(T, stamp_ns).twist_after(memory.lag_s(registered.frame))
+            twist = memory.arriving(T, stamp_ns).twist_after(memory.lag_s(registered.frame))
             dt_s = (stamp_ns - memory.motion.stamp_ns) * 1e-9
             self._offset.observe(result.sharp_depth, image, twist, dt_s)
         self._memory = Memory(
@@ -510,6 +552,7 @@ class Tracker:
             registered if found.fresh else memory.image,
             found.consistent_landmarks(self._config.landmarks.drop_chi2), memory.spread,
             result.overlap if found.sees_depth(self._config) else memory.overlap,
+            memory.sensed,
         )  # fmt: skip
 
     def _is_keyframe(self, found: Estimate) -> bool:
@@ -588,6 +631,7 @@ class Tracker:
         keyframe: bool,
     ) -> TrackResult:
         registered, result = found.registered, found.registration
+        self._seen_ns = registered.frame.stamp_ns
         spectrum = observability(result.equations.H, uncertainty.information)
         state = TrackingState.OK
         if self._unconfirmed:
@@ -614,7 +658,8 @@ class Tracker:
         """Return how sure the pose is, in the map around the camera and in the world."""
         hosts, T = found.registration.hosts, found.registered.T_world_cam
         stamp_ns = found.registered.frame.stamp_ns
-        covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks)
+        sensed = () if self._memory.sensed is None else self._memory.sensed.factors
+        covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks, sensed)
         in_world = self._visited.in_world(T, covariance, hosts)
         return Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
 

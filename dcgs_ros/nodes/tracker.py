@@ -39,7 +39,16 @@ from .tracking.pairing import ImagePair
 from .tracking.session import TrackingSession
 
 _AFTER_RESET = 'the next frame begins a new map'
-_FIXED = ('sensor', 'timing', 'ablation', 'shared_klt_weight', 'threads', 'backend', 'node')
+_FIXED = (
+    'sensor',
+    'timing',
+    'ablation',
+    'shared_klt_weight',
+    'threads',
+    'priors',
+    'backend',
+    'node',
+)
 
 
 class TrackerNode(Node):

@@ -16,6 +16,10 @@ from .planar import FloorPrior
 from .readings import MotionFactor
 
 _LIKELY_SIGMAS = 6.0  # of a hand: what is beyond, no robot does either
+# Shares of the limits: held by the images below the first, not at all above the second.
+_HELD, _UNHELD = 1.0 / 6.0, 0.5
+_OPEN = 30.0  # times the limits: what the images leave open, sensors may know as little of
+_LEAST_TRUST = 1e-2  # of what the images claim where they hold nothing: more than sensors know
 _STEPS = 4  # of Gauss-Newton: the factors are nearly linear in so small a motion
 
 
@@ -47,8 +51,32 @@ class Sensed:
         for _ in range(_STEPS):
             system = self._system(T, placed)
             T = T @ se3.exp((system + hand.normal_equations(T)).step(0.0))
-        sensed = self._system(T, placed).H
+        sensed = np.asarray(self._system(T, placed).H, np.float64)
         return replace(hand, T_world_cam=se3.orthonormalised(T), sensed=sensed)
+
+    def carried(
+        self,
+        T_by_images: NDArray[np.float64],  # (4, 4)
+        covariance: NDArray[np.float64],  # (6, 6) of that, honestly
+        T_last: NDArray[np.float64],  # (4, 4)
+        limits: tuple[float, float],  # metres and radians at which a pose is degenerate
+    ) -> NDArray[np.float64]:
+        """Return the pose, which goes on as the sensors tell along what the images hardly hold.
+
+        An average would not do: along a bare wall the images do not say nothing, they say that the
+        camera moved less than it did, in each frame again. They are believed wholly along the axes
+        that they hold to a sixth of the limits, and not at all where it is less than half of them.
+        """
+        scale = np.repeat([1.0 / limits[0], 1.0 / limits[1]], 3)
+        variances, axes = np.linalg.eigh(covariance * np.outer(scale, scale))
+        sigmas = np.clip(np.sqrt(np.maximum(variances, 0.0)), 1e-6, _OPEN)
+        weakness = np.clip((sigmas - _HELD) / (_UNHELD - _HELD), 1e-6, 1.0)
+        trust = (1.0 - weakness) / weakness + _LEAST_TRUST
+        scaled = axes * scale[:, None]
+        images = (scaled * (trust / sigmas**2)) @ scaled.T
+        placed = [(T_last @ f.T_before_now, f.information) for f in self.factors]
+        sensors = self._system(T_by_images, placed)
+        return np.asarray(T_by_images @ se3.exp(np.linalg.solve(images + sensors.H, sensors.g)))
 
     def _system(
         self,

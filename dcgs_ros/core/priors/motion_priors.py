@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..config.stages import PriorsConfig
+from ..errors import DcgsError
 from ..tracking.motion import ConstantVelocity
 from .fusion import Sensed, is_likely
 from .gyro import Gyro
@@ -22,13 +23,17 @@ _WINDOW_NS = 500_000_000  # over which images and sensors are compared: long aga
 _LONGEST_NS = 1_500_000_000  # with frames missing in between
 
 
+class PriorsError(DcgsError):
+    """A sensor is asked for that there is not."""
+
+
 @dataclass(frozen=True)
 class _Known:
     """A pose that the images are sure of."""
 
     stamp_ns: int
     T_world_cam: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    covariance: NDArray[np.floating]
 
 
 class MotionPriors:
@@ -40,13 +45,20 @@ class MotionPriors:
         R_cam_imu: NDArray[np.float64] | None = None,
         T_base_cam: NDArray[np.float64] | None = None,
     ) -> None:
-        """Take the rotation (3, 3) of the IMU and the place (4, 4) of the camera on the base."""
+        """Take the rotation (3, 3) of the IMU and the place (4, 4) of the camera on the base.
+
+        Raises `PriorsError` where the configuration asks for a sensor whose place is not given.
+        """
+        if config.gyro and R_cam_imu is None:
+            raise PriorsError('priors.gyro: it is not known how the IMU is turned to the camera')
+        if (config.wheels or config.planar_m is not None) and T_base_cam is None:
+            raise PriorsError(
+                'priors.wheels, priors.planar_m: it is not known where on the base the camera is'
+            )
         self._config, self._T_base_cam = config, T_base_cam
         self.gyro = Gyro(R_cam_imu) if config.gyro and R_cam_imu is not None else None
-        on_base = T_base_cam is not None
         self.wheels = Wheels(T_base_cam) if config.wheels and T_base_cam is not None else None
         self._floor: FloorPrior | None = None
-        self._is_planar = on_base and config.planar_m is not None
         self._known: _Known | None = None
 
     def sense(self, reading: AngularRate | BasePose) -> None:
@@ -60,10 +72,9 @@ class MotionPriors:
     def begin(self, T_world_cam: NDArray[np.float64]) -> None:
         """Take the floor from where the camera is when its map begins."""
         self._known = None
-        if self._is_planar and self._T_base_cam is not None and self._config.planar_m is not None:
-            self._floor = on_floor(
-                T_world_cam, self._T_base_cam, self._config.planar_m, self._config.planar_deg
-            )
+        planar_m, T_base_cam = self._config.planar_m, self._T_base_cam
+        if planar_m is not None and T_base_cam is not None:
+            self._floor = on_floor(T_world_cam, T_base_cam, planar_m, self._config.planar_deg)
 
     def since(self, motion: ConstantVelocity, end_ns: int) -> Sensed | None:
         """Return what the sensors that can be used say of the time since the last pose, if any."""
@@ -85,9 +96,9 @@ class MotionPriors:
         return Sensed(tuple(factors), turn, self._floor)
 
     def learn(
-        self, stamp_ns: int, T_world_cam: NDArray[np.float64], covariance: NDArray[np.float64]
+        self, stamp_ns: int, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]
     ) -> None:
-        """Compare with a pose (4, 4) that the images are sure of, covariance (6, 6), over a window."""
+        """Compare with a pose (4, 4) that the images are sure of, covariance (6, 6)."""
         now, known = _Known(stamp_ns, T_world_cam, covariance), self._known
         if known is None or not 0 < stamp_ns - known.stamp_ns <= _LONGEST_NS:
             self._known = now

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,8 +92,10 @@ class Timeline:
         """Stamp of the last reading."""
         return self._stamps_ns[-1] if self._stamps_ns else None
 
-    def around(self, start_ns: int, end_ns: int) -> tuple[NDArray[np.int64], Sequence]:
-        """Return stamps and values from the last one before `start_ns` to the first after `end_ns`.
+    def around(
+        self, start_ns: int, end_ns: int
+    ) -> tuple[NDArray[np.int64], list[NDArray[np.float64]]]:
+        """Return stamps and values from the last before `start_ns` to the first after `end_ns`.
 
         Where there is none before or after, they begin later or end earlier.
         """

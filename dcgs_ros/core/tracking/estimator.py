@@ -63,7 +63,7 @@ class Memory:
         return self.sensed.fused(hand, motion.T_world_cam, motion.twist)
 
     def arriving(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> LocalMotion:
-        """Return the motion on arrival at a pose (4, 4), turning as the gyro says, if there is one."""
+        """Return the motion on arrival at a pose (4, 4); the gyro, if any, tells how it turns."""
         motion = self.motion.arriving(T_world_cam, stamp_ns)
         turn = None if self.sensed is None else self.sensed.turn
         if turn is None:
@@ -116,6 +116,12 @@ class Estimate:
     landmarks: Landmarks  # those followed into the frame
     image: PointFactors | None  # their measurements, though they be too few for the pose
     fresh: bool  # whether its colour image is another than the last one's
+
+    def moved_to(self, T_world_cam: NDArray[np.float64]) -> Estimate:
+        """Return it at another pose (4, 4) near by."""
+        registered = replace(self.registered, T_world_cam=T_world_cam)
+        registration = replace(self.registration, T_world_cam=T_world_cam)
+        return replace(self, registered=registered, registration=registration)
 
     def is_trusted(self, config: Config) -> bool:
         """Return whether it has enough factors of one kind, and a finite system."""

@@ -133,7 +133,7 @@ class Tracker:
         )  # fmt: skip
         if evidence.contradicts:
             return self._search(frame, self._lose(), guesses)
-        last = self._memory.last
+        found, last = self._carried_where_weak(found, uncertainty), self._memory.last
         self._accept(found, evidence)
         claim = self._claim(found, uncertainty)
         sure = not self._unconfirmed and not evidence.doubtful
@@ -512,9 +512,21 @@ class Tracker:
             hosts = np.array([self._host], np.int32)
             in_world = self._visited.in_world(self.T_world_cam, covariance, hosts)
         return TrackResult(
-            frame.stamp_ns, self.T_world_cam, np.eye(4), covariance, in_world, state, None, points, inliers, 0, False, self.flush(),
-            1e3 * self._offset.seconds, self._reference(self.T_world_cam),
+            frame.stamp_ns, self.T_world_cam, np.eye(4), covariance, in_world, state, None,
+            points, inliers, 0, False, self.flush(), 1e3 * self._offset.seconds,
+            self._reference(self.T_world_cam),
         )  # fmt: skip
+
+    def _carried_where_weak(self, found: Estimate, uncertainty: PoseUncertainty) -> Estimate:
+        """Return an estimate that goes on as other sensors tell where the frame says little."""
+        sensed, limits = self._memory.sensed, self._config.registration
+        if sensed is None or not sensed.spans:
+            return found
+        T = sensed.carried(
+            found.registered.T_world_cam, self._claims.measured(uncertainty, self._clocks),
+            self.T_world_cam, (limits.degenerate_m, limits.degenerate_rad),
+        )  # fmt: skip
+        return found.moved_to(T)
 
     def _carries(self, stamp_ns: int) -> bool:
         """Move the last pose on by what other sensors tell, as long as that is worth something."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.priors.fusion import Sensed, is_likely
@@ -46,6 +47,7 @@ def test_the_term_is_least_at_the_fused_pose() -> None:
 def test_nothing_sensed_leaves_the_hand() -> None:
     fused = Sensed().fused(hand(), T_LAST, np.zeros(6))
     np.testing.assert_allclose(fused.T_world_cam, T_LAST, atol=1e-12)
+    assert fused.sensed is not None
     np.testing.assert_allclose(fused.sensed, 0.0)
 
 
@@ -69,3 +71,31 @@ def test_a_camera_beside_the_axis_of_a_turn_goes_round_it(seconds: float) -> Non
     fused = sensed.fused(motion.prior(end_ns), T_LAST, motion.twist)
     off = se3.log(se3.inverse(T_LAST @ se3.exp(seconds * twist)) @ fused.T_world_cam)
     np.testing.assert_allclose(off, 0.0, atol=1e-4)
+
+
+LIMITS = 0.03, 0.045
+
+
+def images(sigma_x_m: float) -> NDArray[np.float64]:
+    return np.diag([sigma_x_m**2, *[1e-6] * 5])
+
+
+def carried_m(sigma_x_m: float, factor: MotionFactor) -> NDArray[np.float64]:
+    """Return the translation (3,) of a camera that the images say has moved by (2, 3, 0) mm."""
+    T_by_images = T_LAST @ se3.exp(np.array([0.002, 0.003, 0, 0, 0, 0]))
+    T = Sensed((factor,)).carried(T_by_images, images(sigma_x_m), T_LAST, LIMITS)
+    return (se3.inverse(T_LAST) @ T)[:3, 3]
+
+
+def test_sensors_carry_the_pose_along_what_the_images_do_not_hold() -> None:
+    np.testing.assert_allclose(carried_m(0.02, along_x(0.01, 0.001)), [0.01, 0.003, 0], atol=2e-4)
+
+
+def test_images_that_hold_the_pose_are_believed() -> None:
+    np.testing.assert_allclose(
+        carried_m(0.002, along_x(0.01, 0.001)), [0.002, 0.003, 0], atol=1e-5
+    )
+
+
+def test_sensors_that_know_no_more_carry_nothing() -> None:
+    np.testing.assert_allclose(carried_m(0.02, along_x(0.01, 10.0)), [0.002, 0.003, 0], atol=1e-4)

@@ -45,7 +45,7 @@ def rates(change: Change | None = None) -> Iterator[AngularRate]:
 
 
 def watched(change: Change | None = None, seconds: float = 15.0) -> tuple[Gyro, list[str | None]]:
-    """Let a gyro learn from noisy images for so long; return it, and its reason each half second."""
+    """Let a gyro learn from noisy images; return it, and its reason each half second."""
     gyro, readings = Gyro(SOURCE.T_cam_imu[:3, :3]), rates(change)
     truth, rng, reasons = SOURCE.groundtruth, np.random.default_rng(0), []
     assert truth is not None

@@ -19,7 +19,9 @@ START = se3.exp(np.array([0.3, -0.2, 0.5, 0.4, -0.3, 1.0]))  # of the camera, in
 FLOOR = on_floor(START, T_BASE_CAM, 0.005, 0.2)
 
 
-def camera(x_m: float, z_m: float, roll_deg: float, pitch_deg: float, yaw_deg: float):
+def camera(
+    x_m: float, z_m: float, roll_deg: float, pitch_deg: float, yaw_deg: float
+) -> NDArray[np.float64]:
     """Return T_world_cam of a base at x, z that is tilted."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler(

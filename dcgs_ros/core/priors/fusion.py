@@ -30,6 +30,8 @@ class Sensed:
     factors: tuple[MotionFactor, ...] = ()
     turn: Turn | None = None
     floor: FloorPrior | None = None
+    T_base_cam: NDArray[np.float64] | None = None  # (4, 4), where wheels carry the camera
+    tells_way: bool = False  # whether the wheels tell how far it went
 
     @property
     def spans(self) -> bool:
@@ -45,7 +47,7 @@ class Sensed:
         mean is that of all together, in information form.
         """
         if self.turn is not None:  # constant velocity in a camera that turns as measured
-            hand = replace(hand, T_world_cam=T_world_cam @ self.turn.pose(twist[:3]))
+            hand = replace(hand, T_world_cam=T_world_cam @ self.turn.pose(twist, self.T_base_cam))
         T = hand.T_world_cam
         placed = [(T_world_cam @ f.T_before_now, f.information) for f in self.factors]
         for _ in range(_STEPS):

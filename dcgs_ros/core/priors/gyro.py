@@ -51,12 +51,22 @@ class Turn:
         """How long it took."""
         return float(self.steps[:, 0].sum())
 
-    def pose(self, velocity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return T_start_end (4, 4) at a constant `velocity` (3,), m/s, in the camera frame."""
+    def pose(
+        self, twist: NDArray[np.float64], T_base_cam: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return T_start_end (4, 4) of a camera that turned so, going on with its `twist` (6,).
+
+        In the hand its velocity in its own frame stays. On wheels, at `T_base_cam` (4, 4), the
+        base's does, which rolls forward only: what the camera does beside is the turn's.
+        """
+        T_body_cam = np.eye(4) if T_base_cam is None else T_base_cam
+        velocity = (se3.adjoint(T_body_cam) @ twist)[:3]
+        if T_base_cam is not None:
+            velocity[1:] = 0.0
         T = np.eye(4)
         for seconds, *phi in self.steps:
-            T = T @ se3.exp(np.array([*(seconds * velocity), *phi]))
-        return T
+            T = T @ se3.exp(np.array([*(seconds * velocity), *(T_body_cam[:3, :3] @ phi)]))
+        return np.asarray(se3.inverse(T_body_cam) @ T @ T_body_cam)
 
 
 class Gyro:

@@ -61,6 +61,11 @@ class MotionPriors:
         self._floor: FloorPrior | None = None
         self._known: _Known | None = None
 
+    @property
+    def on_wheels(self) -> bool:
+        """Whether wheels carry the camera: it cannot dart aside as in a hand."""
+        return self._T_base_cam is not None
+
     def sense(self, reading: AngularRate | BasePose) -> None:
         """Take a reading, in order of the stamps of its kind."""
         if isinstance(reading, AngularRate):
@@ -78,22 +83,22 @@ class MotionPriors:
 
     def since(self, motion: ConstantVelocity, end_ns: int) -> Sensed | None:
         """Return what the sensors that can be used say of the time since the last pose, if any."""
-        start_ns, hand = motion.stamp_ns, motion.prior(end_ns)
-        gyro, wheels, factors = self.gyro, self.wheels, []
-        turn = None
+        start_ns, gyro, wheels = motion.stamp_ns, self.gyro, self.wheels
+        turn = way = turned = None
         if gyro is not None and gyro.reason(end_ns) is None:
             turn = gyro.turn(start_ns, end_ns)
-            if turn is not None and is_likely(gyro.factor(turn), motion.T_world_cam, hand):
-                factors.append(gyro.factor(turn))
-            else:
-                turn = None
+            turned = None if turn is None else gyro.factor(turn)
         if wheels is not None and wheels.reason(end_ns) is None:
-            factor = wheels.factor(start_ns, end_ns)
-            if factor is not None and is_likely(factor, motion.T_world_cam, hand):
-                factors.append(factor)
+            way = wheels.factor(start_ns, end_ns)
+        T, hand = motion.T_world_cam, motion.prior(end_ns)
+        turned, way = (
+            f if f is not None and is_likely(f, T, hand) else None for f in (turned, way)
+        )
+        factors = tuple(factor for factor in (turned, way) if factor is not None)
         if not factors and self._floor is None:
             return None
-        return Sensed(tuple(factors), turn, self._floor)
+        turn = None if turned is None else turn
+        return Sensed(factors, turn, self._floor, self._T_base_cam, way is not None)
 
     def learn(
         self, stamp_ns: int, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]

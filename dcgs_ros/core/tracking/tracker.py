@@ -44,7 +44,7 @@ _AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move
 _SEARCH_STEP_S = 0.2  # that a frame counts for at most in a search
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
-# How far other sensors carry a pose: while the turn is known, and the way, or not for long.
+# How far other sensors carry a pose: while turn and way are known, or on wheels for a time.
 _CARRIED_RAD, _CARRIED_M, _CARRIED_NS = 0.1, 0.5, 3_000_000_000
 
 
@@ -520,7 +520,7 @@ class Tracker:
     def _carried_where_weak(self, found: Estimate, uncertainty: PoseUncertainty) -> Estimate:
         """Return an estimate that goes on as other sensors tell where the frame says little."""
         sensed, limits = self._memory.sensed, self._config.registration
-        if sensed is None or not sensed.spans:
+        if sensed is None or not sensed.tells_way:
             return found
         T = sensed.carried(
             found.registered.T_world_cam, self._claims.measured(uncertainty, self._clocks),
@@ -540,7 +540,7 @@ class Tracker:
             math.sqrt(np.linalg.eigvalsh(block)[-1])
             for block in (covariance[:3, :3], covariance[3:, 3:])
         )
-        soon = stamp_ns - self._seen_ns < _CARRIED_NS
+        soon = self.priors.on_wheels and stamp_ns - self._seen_ns < _CARRIED_NS
         return turn_rad < _CARRIED_RAD and (soon or way_m < _CARRIED_M)
 
     def _accept(self, found: Estimate, evidence: Evidence) -> None:

@@ -99,3 +99,20 @@ def test_images_that_hold_the_pose_are_believed() -> None:
 
 def test_sensors_that_know_no_more_carry_nothing() -> None:
     np.testing.assert_allclose(carried_m(0.02, along_x(0.01, 10.0)), [0.002, 0.003, 0], atol=1e-4)
+
+
+def test_a_base_that_turns_carries_its_camera_round_and_rolls_on() -> None:
+    """The turn gets faster: what the camera's own velocity was tells little of the end."""
+    T_base_cam = np.array([[0, 0, 1, 0.3], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]], float)
+    T_cam_base, gyro = se3.inverse(T_base_cam), Gyro(T_base_cam[:3, :3].T)
+    T_true = np.eye(4)
+    for k in range(401):
+        rate, roll = np.array([0, 0, 0.01 * k]), np.array([0.1, 0, 0])
+        gyro.sense(AngularRate(5 * MS * k, rate))
+        if k < 400:
+            T_true = T_true @ se3.exp(0.005 * np.array([*roll, 0, 0, 0.01 * (k + 0.5)]))
+    turn = gyro.turn(0, 2000 * MS)
+    assert turn is not None
+    twist = se3.adjoint(T_cam_base) @ np.array([0.1, 0, 0, 0, 0, 0])
+    moved = T_base_cam @ turn.pose(twist, T_base_cam) @ T_cam_base
+    np.testing.assert_allclose(moved, T_true, atol=1e-5)

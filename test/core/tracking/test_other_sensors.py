@@ -15,23 +15,27 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.priors.fusion import Sensed
+from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.motion_priors import MotionPriors, PriorsError
-from dcgs_ros.core.priors.readings import AngularRate
+from dcgs_ros.core.priors.readings import AngularRate, BasePose
+from dcgs_ros.core.tracking.estimator import Memory
+from dcgs_ros.core.tracking.motion import ConstantVelocity
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.readings import Readings, priors_of
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
-SOURCE = SyntheticSource.from_address('synthetic:room?frames=16&speed=2.5&motion=turning&seed=0')
-SEEN = 8  # frames before the lens is covered
+SOURCE = SyntheticSource.from_address('synthetic:room?frames=60&speed=2.5&motion=turning&seed=0')
+SEEN, SHOWN = 8, 16  # frames before the lens is covered, and in all
 FRAME_NS = 33_333_333
 
 
 @cache
 def frames() -> tuple[RgbdFrame, ...]:
     """Return frames of which the last ones show nothing."""
-    made = list(SOURCE)
-    for k in range(SEEN, len(made)):
+    made = [SOURCE.render(k) for k in range(SHOWN)]
+    for k in range(SEEN, SHOWN):
         depth_m = np.zeros_like(made[k].depth_m)
         depth_m[::16, ::16] = 0.4
         black = np.full_like(made[k].color, k)
@@ -41,15 +45,18 @@ def frames() -> tuple[RgbdFrame, ...]:
 
 @cache
 def tracked(*sensors: str) -> tuple[TrackResult, ...]:
-    values = {f'priors.{name}': True for name in sensors}
-    config = override(Config(sensor=SOURCE.sensor), values)
-    tracker = Tracker(SOURCE.camera, config, priors=priors_of(SOURCE, config.priors))
-    readings, results = Readings(SOURCE, config.priors), []
+    (tracker, readings), results = with_sensors(*sensors), []
     for frame in frames():
         for reading in readings.until(frame.stamp_ns):
             tracker.sense(reading)
         results.append(tracker.track(frame))
     return tuple(results)
+
+
+def with_sensors(*sensors: str) -> tuple[Tracker, Readings]:
+    config = override(Config(sensor=SOURCE.sensor), {f'priors.{name}': True for name in sensors})
+    tracker = Tracker(SOURCE.camera, config, priors=priors_of(SOURCE, config.priors))
+    return tracker, Readings(SOURCE, config.priors)
 
 
 def error(result: TrackResult) -> tuple[float, float]:
@@ -95,6 +102,62 @@ def test_sensors_that_say_nothing_change_nothing() -> None:
         found = silent.track(frame)
         np.testing.assert_array_equal(found.T_world_cam, expected.T_world_cam)
         np.testing.assert_array_equal(found.covariance, expected.covariance)
+
+
+@pytest.mark.parametrize('sensors', [(), ('gyro', 'wheels')])
+def test_a_second_without_frames_is_no_gap_to_other_sensors(sensors: tuple[str, ...]) -> None:
+    tracker, readings = with_sensors(*sensors)
+    turned_back = SOURCE.render(55)
+    for frame in [*frames()[:SEEN], turned_back]:
+        for reading in readings.until(frame.stamp_ns):
+            tracker.sense(reading)
+        result = tracker.track(frame)
+    metres, radians = error(result)
+    if sensors:
+        assert metres < 0.05 and radians < 0.05
+    else:
+        assert radians > 0.5
+
+
+def test_wheels_that_slip_aside_do_not_speak_against_the_images() -> None:
+    tracker, aside = with_sensors('wheels')[0], np.eye(4)
+    for k, frame in enumerate(frames()[:SEEN]):
+        aside[1, 3] = 0.02 * k  # metres to the left in each frame, while it turns on the spot
+        tracker.sense(BasePose(frame.stamp_ns, aside.copy()))
+        result = tracker.track(frame)
+        assert result.state is TrackingState.OK
+    assert error(result)[0] < 0.01
+
+
+def test_the_gyro_tells_how_fast_the_camera_turns_on_arrival() -> None:
+    rate = np.array([0.1, 2.0, -0.3])
+    gyro = Gyro(np.eye(3))
+    for k in range(50):
+        gyro.sense(AngularRate(5_000_000 * k, rate))
+    turn = gyro.turn(50_000_000, 83_000_000)
+    memory = Memory(ConstantVelocity.at_rest(np.eye(4), 50_000_000), 0.0, sensed=Sensed(turn=turn))
+    motion = memory.arriving(se3.exp(np.array([0.01, 0, 0, 0, 0, 0])), 83_000_000)
+    np.testing.assert_allclose(motion.twist[3:], rate, atol=1e-9)
+    np.testing.assert_allclose(motion.twist[:3], [0.01 / 0.033, 0, 0], rtol=1e-6)
+
+
+def test_the_floor_is_where_the_map_begins() -> None:
+    config = override(Config().priors, {'planar_m': 0.005})
+    T_base_cam = SOURCE.T_base_cam
+    assert T_base_cam is not None
+    priors, start = MotionPriors(config, T_base_cam=T_base_cam), se3.exp(np.full(6, 0.3))
+    assert priors.since(ConstantVelocity.at_rest(start), 0) is None
+    priors.begin(start)
+    risen = start @ se3.inverse(T_base_cam)
+    risen[:3, 3] += 0.01 * risen[:3, 2]
+    motion = ConstantVelocity.at_rest(risen @ T_base_cam, 0)
+    sensed = priors.since(motion, FRAME_NS)
+    assert sensed is not None and not sensed.spans
+    fused = sensed.fused(motion.prior(FRAME_NS), motion.T_world_cam, motion.twist)
+    base = se3.inverse(start @ se3.inverse(T_base_cam)) @ fused.T_world_cam
+    height_m = (base @ se3.inverse(T_base_cam))[2, 3]
+    assert 0.0 < height_m < 0.009  # a hand is believed as far as it goes
+    assert priors.reasons(0) == {'planar': 'used'}
 
 
 def test_every_sensor_says_whether_it_is_used() -> None:

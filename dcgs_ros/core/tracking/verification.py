@@ -144,9 +144,7 @@ def weigh(
             agreement = share / usual.agreement
     if result.image is not None:
         consistent = float(np.mean(result.image.chi2(T) < config.landmarks.drop_chi2))
-    # A wheel that slips must not speak against the images: it is enough that the hand agrees.
-    expected = memory.prior(frame.stamp_ns), memory.motion.prior(frame.stamp_ns)
-    jump = min(jump_sigmas(T, prior, uncertain) for prior in expected)
+    jump = jump_sigmas(T, memory.motion.prior(frame.stamp_ns), uncertain)
     kept, before = 1.0, len(memory.landmarks)
     if found.fresh and before >= _MANY:
         kept = len(found.landmarks) / before

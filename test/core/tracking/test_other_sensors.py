@@ -18,7 +18,7 @@ from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.priors.fusion import Sensed
 from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.motion_priors import MotionPriors, PriorsError
-from dcgs_ros.core.priors.readings import AngularRate, BasePose
+from dcgs_ros.core.priors.readings import AngularRate, BasePose, MotionFactor
 from dcgs_ros.core.tracking.estimator import Memory
 from dcgs_ros.core.tracking.motion import ConstantVelocity
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
@@ -27,6 +27,7 @@ from dcgs_ros.datasets.readings import Readings, priors_of
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 SOURCE = SyntheticSource.from_address('synthetic:room?frames=60&speed=2.5&motion=turning&seed=0')
+AT_REST = SyntheticSource.from_address('synthetic:room?frames=20&motion=turning')
 SEEN, SHOWN = 8, 16  # frames before the lens is covered, and in all
 FRAME_NS = 33_333_333
 
@@ -119,14 +120,68 @@ def test_a_second_without_frames_is_no_gap_to_other_sensors(sensors: tuple[str, 
         assert radians > 0.5
 
 
-def test_wheels_that_slip_aside_do_not_speak_against_the_images() -> None:
-    tracker, aside = with_sensors('wheels')[0], np.eye(4)
+def slipping_aside(limit_m: float) -> tuple[Tracker, TrackResult]:
+    """Track a robot that turns on the spot, whose wheels say that it goes 3 cm aside a frame."""
+    config = override(
+        Config(sensor=SOURCE.sensor),
+        {'priors.wheels': True, 'registration.degenerate_m': limit_m},
+    )
+    tracker = Tracker(SOURCE.camera, config, priors=priors_of(SOURCE, config.priors))
+    aside = np.eye(4)
     for k, frame in enumerate(frames()[:SEEN]):
-        aside[1, 3] = 0.02 * k  # metres to the left in each frame, while it turns on the spot
+        aside[1, 3] = 0.03 * k
         tracker.sense(BasePose(frame.stamp_ns, aside.copy()))
         result = tracker.track(frame)
-        assert result.state is TrackingState.OK
+    return tracker, result
+
+
+def test_wheels_that_slip_do_not_speak_against_the_images() -> None:
+    tracker, result = slipping_aside(0.03)
+    assert result.state is TrackingState.OK
+    assert tracker.usual.frames == SEEN - 1  # no frame was in doubt
     assert error(result)[0] < 0.01
+
+
+def test_wheels_carry_the_camera_where_images_hold_it_worse_than_the_limits() -> None:
+    _, result = slipping_aside(1e-4)
+    assert error(result)[0] > 0.1
+
+
+def test_the_tracker_teaches_the_gyro_its_bias() -> None:
+    tracker, readings = with_sensors('gyro')
+    bias = np.array([0.0, 0.05, 0.0])
+    for k in range(0, 11, 2):  # at rest
+        frame = AT_REST.render(k)
+        for reading in readings.until(frame.stamp_ns):
+            assert isinstance(reading, AngularRate)
+            tracker.sense(replace(reading, rate=bias + 1e-6 * reading.rate))
+        tracker.track(frame)
+    assert tracker.priors.gyro is not None
+    assert tracker.priors.gyro.bias[1] == 0.0  # a window is half a second
+    frame = AT_REST.render(18)
+    for k in range(20):
+        stamp_ns = frame.stamp_ns - (19 - k) * 10_000_000
+        tracker.sense(AngularRate(stamp_ns, bias + 1e-6 * k))
+    tracker.track(frame)
+    np.testing.assert_allclose(tracker.priors.gyro.bias, bias, atol=0.01)
+
+
+def test_what_sensors_span_is_no_gap() -> None:
+    motion, second_ns = ConstantVelocity.at_rest(np.eye(4), 0), 1_000_000_000
+    told = Sensed((MotionFactor(np.eye(4), 1e-6 * np.eye(6), np.zeros((6, 6))),))
+    assert Memory(motion, 0.0).is_gap(second_ns)
+    assert Memory(motion, 0.0, sensed=Sensed()).is_gap(second_ns)
+    assert not Memory(motion, 0.0, sensed=told).is_gap(second_ns)
+
+
+@pytest.mark.parametrize(('metres', 'believed'), [(0.01, True), (0.5, False)])
+def test_wheels_that_jump_are_not_believed(metres: float, believed: bool) -> None:
+    priors = priors_of(SOURCE, override(Config().priors, {'wheels': True}))
+    T, motion = np.eye(4), ConstantVelocity.at_rest(np.eye(4), 0)
+    priors.sense(BasePose(0, T.copy()))
+    T[0, 3] = metres
+    priors.sense(BasePose(FRAME_NS, T))
+    assert (priors.since(motion, FRAME_NS) is not None) == believed
 
 
 def test_the_gyro_tells_how_fast_the_camera_turns_on_arrival() -> None:

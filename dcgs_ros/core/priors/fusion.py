@@ -18,8 +18,8 @@ from .readings import MotionFactor
 _LIKELY_SIGMAS = 6.0  # of a hand: what is beyond, no robot does either
 # Shares of the limits: held by the images below the first, not at all above the second.
 _HELD, _UNHELD = 1.0 / 6.0, 0.5
-_OPEN = 30.0  # times the limits: what the images leave open, sensors may know as little of
-_LEAST_TRUST = 1e-2  # of what the images claim where they hold nothing: more than sensors know
+_OPEN = 30.0  # times the limits: sensors may know as little of what images leave open
+_LEAST_TRUST = 1e-2  # in the images where they hold nothing: of the information they claim
 _STEPS = 4  # of Gauss-Newton: the factors are nearly linear in so small a motion
 
 

@@ -18,8 +18,8 @@ class TrackingState(Enum):
     """What a pose is worth."""
 
     OK = 'ok'
-    DEGENERATE = 'degenerate'  # tracked, but one direction is badly constrained
-    LOST = 'lost'  # the pose is the last good one
+    DEGENERATE = 'degenerate'  # tracked, or carried, but one direction is badly constrained
+    LOST = 'lost'  # the pose is the last good one, or a guess from it
     RELOCALISED = 'relocalised'  # a lost camera is found again, which is not confirmed yet
 
 
@@ -56,6 +56,7 @@ class TrackResult:
     keyframes: tuple[Keyframe, ...]  # finished with this frame: the first one with the second
     colour_depth_offset_ms: float
     reference: Reference | None = None  # None: there is no keyframe yet
+    carried: bool = False  # whether only other sensors tell the pose: the images show nothing
 
     @property
     def submap(self) -> int:

@@ -507,14 +507,15 @@ class Tracker:
         """Report the last good pose, or where other sensors carry it; the next goes on from it."""
         points, inliers = (0, 0) if found is None else (len(found.depth.points), found.inliers)
         state, covariance, in_world = TrackingState.LOST, _LOST_COVARIANCE, _LOST_COVARIANCE
-        if self._carries(frame.stamp_ns) and self._claims.limit is not None:
+        carried = self._carries(frame.stamp_ns)
+        if carried and self._claims.limit is not None:
             state, covariance = TrackingState.DEGENERATE, self._claims.limit.covariance
             hosts = np.array([self._host], np.int32)
             in_world = self._visited.in_world(self.T_world_cam, covariance, hosts)
         return TrackResult(
             frame.stamp_ns, self.T_world_cam, np.eye(4), covariance, in_world, state, None,
             points, inliers, 0, False, self.flush(), 1e3 * self._offset.seconds,
-            self._reference(self.T_world_cam),
+            self._reference(self.T_world_cam), carried,
         )  # fmt: skip
 
     def _carried_where_weak(self, found: Estimate, uncertainty: PoseUncertainty) -> Estimate:

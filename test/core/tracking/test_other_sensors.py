@@ -22,6 +22,7 @@ from dcgs_ros.core.priors.readings import AngularRate, BasePose, MotionFactor
 from dcgs_ros.core.tracking.estimator import Memory
 from dcgs_ros.core.tracking.motion import ConstantVelocity
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
+from dcgs_ros.core.tracking.selector import KeyframeSelector
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.readings import Readings, priors_of
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
@@ -83,6 +84,16 @@ def test_a_gyro_and_wheels_carry_it_and_say_so() -> None:
     assert metres < 0.02 and radians < 0.02
     turned = se3.log(se3.inverse(results[SEEN - 1].T_world_cam) @ results[-1].T_world_cam)
     assert np.linalg.norm(turned[3:]) > 0.1  # it did turn meanwhile
+
+
+def test_what_is_carried_is_no_view_for_the_mapper() -> None:
+    selector = KeyframeSelector(1)
+    selected = [
+        selector.select(frame, result)
+        for frame, result in zip(frames(), tracked('gyro', 'wheels'), strict=True)
+    ]
+    assert all(selected[2:SEEN])
+    assert not any(selected[SEEN:])
 
 
 def test_what_is_carried_gets_less_certain() -> None:

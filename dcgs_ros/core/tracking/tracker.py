@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..camera import PinholeCamera
-from ..config.stages import Config
+from ..config.stages import Config, PriorsConfig
 from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
@@ -60,7 +60,8 @@ class Tracker:
     ) -> None:
         """Start with an empty map; the first frame is at `T_world_first`, identity by default.
 
-        `priors` are what the robot's other sensors tell, and where those are.
+        `priors` are what the robot's other sensors tell, and where those are; there are none by
+        default, whatever `config` has of them.
         `config.threads` holds for the thread that makes the tracker, which is to call `track` too.
         """
         self.camera = camera
@@ -91,7 +92,7 @@ class Tracker:
         self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
-        self.priors = priors or MotionPriors(self._config.priors)
+        self.priors = priors or MotionPriors(PriorsConfig())
         self._seen_ns = 0  # stamp of the last frame that was tracked
         self.threads = jit.set_threads(self._config.threads)
 

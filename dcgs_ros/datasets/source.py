@@ -8,7 +8,10 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..core.camera import PinholeCamera
 from ..core.errors import DcgsError
@@ -98,4 +101,23 @@ class Source(Protocol):
 
     def imu(self) -> Iterator[ImuSample]:
         """Read the IMU's measurements in order of their stamps; nothing where there is no IMU."""
+        ...
+
+
+@runtime_checkable
+class RobotSource(Source, Protocol):
+    """A sequence of a robot: it is known where its sensors are, and its wheels were recorded."""
+
+    @property
+    def T_cam_imu(self) -> NDArray[np.float64]:
+        """(4, 4) IMU to colour camera."""
+        ...
+
+    @property
+    def T_base_cam(self) -> NDArray[np.float64] | None:
+        """(4, 4) colour camera to base; None: it is not fixed to one."""
+        ...
+
+    def odometry(self) -> Iterator[OdometrySample]:
+        """Read what the wheels say in order of its stamps."""
         ...

@@ -19,6 +19,7 @@ from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.keyframe import Correction, MapUpdate
+from ..core.priors.motion_priors import MotionPriors
 from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
 from .health import LOADING, Verdict
@@ -39,7 +40,16 @@ from .tracking.pairing import ImagePair
 from .tracking.session import TrackingSession
 
 _AFTER_RESET = 'the next frame begins a new map'
-_FIXED = ('sensor', 'timing', 'ablation', 'shared_klt_weight', 'threads', 'backend', 'node')
+_FIXED = (
+    'sensor',
+    'timing',
+    'ablation',
+    'shared_klt_weight',
+    'threads',
+    'priors',
+    'backend',
+    'node',
+)
 
 
 class TrackerNode(Node):
@@ -58,6 +68,7 @@ class TrackerNode(Node):
         self._camera = CameraSubscriber(
             self, node_settings, self._warn, self._outputs.lookup, self._reporter.inform
         )
+        MotionPriors(settings.priors)  # raises: no node reads other sensors yet
         localizes = node_settings.mode == 'localization'
         self._known = KnownMap.read(Path(node_settings.map)) if node_settings.map else None
         if localizes and self._known is None:

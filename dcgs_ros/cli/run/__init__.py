@@ -14,6 +14,7 @@ from ...core.kernels.workers import Workers
 from ...core.mapping.mapper import mapper_threads
 from ...datasets.open import open_source
 from ...datasets.options import join_options
+from ...datasets.readings import Readings, priors_of
 from ...datasets.source import SourceError
 from ...evaluation.report import RunRecord
 from ..arguments import RunArguments, UsageError
@@ -37,6 +38,7 @@ def execute(arguments: RunArguments) -> int:
     )
     known = read_known(arguments, source.camera)
     config = configure(source.sensor, arguments)
+    priors = priors_of(source, config.priors)
     record = RunRecord(
         source.name,
         config.ablation,
@@ -51,8 +53,9 @@ def execute(arguments: RunArguments) -> int:
     ):
         mapping = arguments.mapping and not arguments.localize
         pipeline = start(
-            source.camera, config, mapping, arguments.online, workers, known, arguments.localize
-        )
+            source.camera, config, mapping, arguments.online, workers, known, arguments.localize,
+            priors, Readings(source, config.priors),
+        )  # fmt: skip
         session = Session(source, pipeline, record, folder, arguments.asked_s)
         with StopSignals() as stop:
             session.process(total, lambda: stop.status != 0)

@@ -23,10 +23,12 @@ from ...core.keyframe import Correction
 from ...core.loop_closing import ClosingInLockstep, ClosingMode, ClosingOnline, NoClosing
 from ...core.mapping.mapper import Mapper
 from ...core.mapping.warmup import warm_up_with_mapper
+from ...core.priors.motion_priors import MotionPriors
 from ...core.slam import Lockstep, MappingMode, Online
 from ...core.tracking.result import TrackResult
 from ...core.tracking.tracker import Tracker
 from ...core.tracking.warmup import warm_up
+from ...datasets.readings import Readings
 from ...datasets.source import BadFrame
 from ...evaluation.report import FinalMap, RunRecord, SkippedFrame, TrackedFrame
 from ...io.known_places import features_of, keyframes_of, places_of
@@ -48,15 +50,17 @@ def start(
     workers: Workers,
     known: SavedMap | None = None,
     localize: bool = False,
+    priors: MotionPriors | None = None,
+    readings: Readings | None = None,
 ) -> Pipeline:
     """Create tracker and mapper, with all their kernels compiled, in the `known` map if any.
 
-    With `localize` the tracker leaves that map as it is. Raises `MapFileError` for a map without
-    keyframes, or of another camera than the mapper's.
+    With `localize` the tracker leaves that map as it is; `priors` take the `readings`. Raises
+    `MapFileError` for a map without keyframes, or of another camera than the mapper's.
     """
     with _explained_if_slow('dcgs: compiling kernels (once)'):
         (warm_up_with_mapper if mapping else warm_up)(camera, config)
-    tracker = Tracker(camera, config)
+    tracker = Tracker(camera, config, priors=priors)
     if known is not None:
         known.tracker.resume(tracker, known.camera)
         tracker.localize_only = localize
@@ -68,7 +72,7 @@ def start(
         mode = (Online if online else Lockstep)(tracker, mapper)
     sessions = known.sessions if known is not None else ()
     closing = _closing(tracker, mode, online, known)
-    return Pipeline(tracker, mode, closing, mapper, online, sessions)
+    return Pipeline(tracker, mode, closing, mapper, online, sessions, readings)
 
 
 def _closing(
@@ -108,6 +112,7 @@ class Pipeline:
     mapper: Mapper | None  # None: the run only tracks
     online: bool  # frames arrive at their recorded pace
     sessions: tuple[SavedSession, ...] = ()  # before this one, of the map that it extends
+    readings: Readings | None = None  # of other sensors
 
     def process(
         self,
@@ -148,6 +153,8 @@ class Pipeline:
         if isinstance(item, DroppedFrame):
             return SkippedFrame(index, item.stamp_ns, name, _DROPPED, dropped=True)
         start = time.perf_counter()
+        for reading in () if self.readings is None else self.readings.until(item.stamp_ns):
+            self.tracker.sense(reading)
         try:
             result = self.tracker.track(item)
         except FrameError as error:

@@ -208,6 +208,24 @@ class TimingConfig(Stage):
 
 
 @dataclass(frozen=True)
+class PriorsConfig(Stage):
+    """Sensors beside the camera that tell its motion; they are off, so that images stand alone."""
+
+    gyro: bool = described(False, "Whether the camera's rotation is predicted by a gyro.")
+    wheels: bool = described(False, "Whether the camera's motion is predicted by wheel odometry.")
+    planar_m: float | None = ranged(
+        None,
+        1e-4,
+        10,
+        'Standard deviation of the height of a base that moves over a flat floor, metres; auto: '
+        'it may climb.',
+    )
+    planar_deg: float = ranged(
+        0.2, 0.01, 45, 'With planar_m: standard deviation of its roll and pitch, degrees.'
+    )
+
+
+@dataclass(frozen=True)
 class BackendConfig(Stage):
     """Recognition of places, and corrections of the keyframes' poses."""
 
@@ -338,6 +356,7 @@ class Config(Stage):
     registration: RegistrationConfig = field(default_factory=RegistrationConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     timing: TimingConfig = field(default_factory=TimingConfig)
+    priors: PriorsConfig = field(default_factory=PriorsConfig)
     backend: BackendConfig = field(default_factory=BackendConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)

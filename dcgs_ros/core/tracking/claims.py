@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..config.stages import Config
+from ..priors.readings import MotionFactor
 from .hosting import Hosts
 from .observability import Observability
 from .propagation import BiasVariance, MotionLimit
@@ -91,14 +93,18 @@ class PoseClaims:
         stamp_ns: int,
         uncertainty: PoseUncertainty,
         clocks: Clocks,
+        sensed: Sequence[MotionFactor] = (),
     ) -> NDArray[np.float64]:
-        """Take the pose (4, 4) of a tracked frame; return its covariance (6, 6)."""
+        """Take the pose (4, 4) of a tracked frame; return its covariance (6, 6).
+
+        `sensed` is the motion since the last one by other sensors.
+        """
         self._bias = self._bias.observed(uncertainty.bias_evidence)
         measured = self.measured(uncertainty, clocks)
         if self.limit is None:
             self.limit = MotionLimit.begun(measured, T_world_cam, stamp_ns)
         else:
-            self.limit = self.limit.updated(measured, T_world_cam, stamp_ns)
+            self.limit = self.limit.updated(measured, T_world_cam, stamp_ns, sensed)
         return self.limit.covariance + self._late(clocks)
 
     def of_motion(self, clocks: Clocks) -> NDArray[np.float64]:
@@ -113,6 +119,14 @@ class PoseClaims:
         """Return what an uncertain stamp adds to the covariance (6, 6) of a pose."""
         late = 1e-3 * self.config.sensor.stamp_ms * clocks.twist
         return np.outer(late, late)
+
+    def carry(
+        self, T_world_cam: NDArray[np.float64], stamp_ns: int, sensed: Sequence[MotionFactor]
+    ) -> NDArray[np.float64]:
+        """Take a pose (4, 4) that only other sensors tell; return its covariance (6, 6)."""
+        assert self.limit is not None
+        self.limit = self.limit.updated(np.eye(6), T_world_cam, stamp_ns, sensed)
+        return self.limit.covariance
 
     def stays_degenerate(self, spectrum: Observability) -> bool:
         """Return whether the frame that was last taken is degenerate, given the frame before.

@@ -18,11 +18,12 @@ from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from ..keyframe import PosedFrame
+from ..priors.fusion import Sensed
 from .cloud import FrameCloud, sample_cloud
 from .factors import PointFactors, PosePrior
 from .gaussian_map import GaussianMap
 from .landmarks import Landmarks
-from .motion import ConstantVelocity
+from .motion import ConstantVelocity, LocalMotion
 from .registration import DepthTerm, Registration, register, start_from_landmarks
 
 _SEEDS = 1 << 31  # the sampling's jitter follows from the stamp
@@ -63,6 +64,30 @@ class Memory:
     landmarks: Landmarks = field(default_factory=Landmarks.none)  # pixels in that image
     spread: NDArray[np.int64] | None = None  # landmarks in each cell at the last detection
     overlap: float = 0.0  # of the last frame
+    sensed: Sensed | None = None  # by other sensors, from the last pose to the frame at hand
+
+    def prior(self, stamp_ns: int) -> PosePrior:
+        """Return the pose at the next frame's stamp by all that is known without the frame."""
+        hand, motion = self.motion.prior(stamp_ns), self.motion
+        if self.sensed is None:
+            return hand
+        return self.sensed.fused(hand, motion.T_world_cam, motion.twist)
+
+    def arriving(self, T_world_cam: NDArray[np.float64], stamp_ns: int) -> LocalMotion:
+        """Return the motion on arrival at a pose (4, 4); the gyro, if any, tells how it turns."""
+        motion = self.motion.arriving(T_world_cam, stamp_ns)
+        turn = None if self.sensed is None else self.sensed.turn
+        if turn is None:
+            return motion
+        return LocalMotion(
+            np.concatenate([motion.twist[:3], turn.end_rate]),
+            np.concatenate([motion.acceleration[:3], turn.end_acceleration]),
+        )
+
+    def is_gap(self, stamp_ns: int) -> bool:
+        """Return whether the motion since the last pose is unknown."""
+        spanned = self.sensed is not None and self.sensed.spans
+        return self.motion.is_gap(stamp_ns) and not spanned
 
     def moved(self, motions: NDArray[np.float64], T: NDArray[np.float64]) -> Memory:
         """Return it after keyframes moved by `motions` (K, 4, 4), and the camera by T (4, 4)."""
@@ -80,7 +105,7 @@ class Memory:
 
     def arrival(self, frame: RgbdFrame, T_world_cam: NDArray[np.float64]) -> Arrival:
         """Return the motion within a frame whose colour was taken at `T_world_cam` (4, 4)."""
-        motion, lag_s = self.motion.arriving(T_world_cam, frame.stamp_ns), self.lag_s(frame)
+        motion, lag_s = self.arriving(T_world_cam, frame.stamp_ns), self.lag_s(frame)
         return Arrival(
             T_world_cam, motion.pose_after(lag_s), motion.twist, motion.twist_after(lag_s)
         )
@@ -95,7 +120,13 @@ class Estimate:
     landmarks: Landmarks  # those followed into the frame
     image: PointFactors | None  # their measurements, though they be too few for the pose
     fresh: bool  # whether its colour image is another than the last one's
-    prior: PosePrior  # where it was expected
+    prior: PosePrior  # where it was expected, by a hand's motion
+
+    def moved_to(self, T_world_cam: NDArray[np.float64]) -> Estimate:
+        """Return it at another pose (4, 4) near by."""
+        registered = replace(self.registered, T_world_cam=T_world_cam)
+        registration = replace(self.registration, T_world_cam=T_world_cam)
+        return replace(self, registered=registered, registration=registration)
 
     def is_trusted(self, config: Config) -> bool:
         """Return whether it has enough factors of one kind, and a finite system."""
@@ -130,8 +161,8 @@ def estimate(
     grey = to_grey(frame.color)
     fresh = memory.image is None or not np.array_equal(grey, memory.image.grey)
 
-    # The motion so far, continued at constant velocity.
-    prior = memory.motion.prior(frame.stamp_ns)
+    # The motion so far, continued at constant velocity, or as other sensors say.
+    prior = memory.prior(frame.stamp_ns)
 
     # III-D, image residual: landmarks followed by KLT and measured at their depth, a_l and S_l.
     landmarks = _followed(grey, memory, prior, camera, config) if fresh else memory.landmarks
@@ -164,7 +195,9 @@ def estimate(
         frame, there.T_world_cam, there.T_cam_cam_at_depth, grey, there.twist,
         there.twist_at_depth,
     )  # fmt: skip
-    return Estimate(registered, found, landmarks, measured, fresh, prior)
+    # Images are verified against a hand's motion alone: a sensor that errs must not lose them.
+    hand = prior if memory.sensed is None else memory.motion.prior(frame.stamp_ns)
+    return Estimate(registered, found, landmarks, measured, fresh, hand)
 
 
 def _misled(found: Registration, prior: PosePrior, memory: Memory) -> bool:

@@ -127,11 +127,16 @@ class Factor(Protocol):
 
 @dataclass(frozen=True)
 class PosePrior:
-    """A pose known beforehand, with independent errors in its own frame."""
+    """A pose known beforehand: by how a hand moves, and by sensors beside the camera.
+
+    The sigmas, of independent errors in the camera frame, are the hand's alone: how far from the
+    pose a measurement may be, however sure the sensors are.
+    """
 
     T_world_cam: NDArray[np.float64]  # (4, 4)
     sigma_m: float
     sigma_rad: float
+    sensed: NDArray[np.float64] | None = None  # (6, 6) information of the sensors, camera frame
 
     def sigmas_to(
         self, T_world_cam: NDArray[np.float64], uncertain: NDArray[np.float64] | None = None
@@ -147,8 +152,10 @@ class PosePrior:
         """Return the term of the residual log(T^-1 T_prior), with the identity as Jacobian."""
         residual = se3.log(se3.inverse(T_world_cam) @ self.T_world_cam)
         information = np.repeat([self.sigma_m**-2, self.sigma_rad**-2], 3)
-        g = information * residual
-        return NormalEquations(np.diag(information), g, float(residual @ g))
+        H, g = np.diag(information), information * residual
+        if self.sensed is not None:
+            H, g = H + self.sensed, g + self.sensed @ residual
+        return NormalEquations(H, g, float(residual @ g))
 
 
 @dataclass(frozen=True)

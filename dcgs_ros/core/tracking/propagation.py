@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..priors.readings import MotionFactor
 from .hosting import Hosts
 from .motion import ACCELERATION, ANGULAR_ACCELERATION
 
@@ -71,19 +73,26 @@ class MotionLimit:
         return cls(T_world_cam, stamp_ns, joint, known)
 
     def updated(
-        self, measured: NDArray[np.float64], T_world_cam: NDArray[np.float64], stamp_ns: int
+        self,
+        measured: NDArray[np.float64],
+        T_world_cam: NDArray[np.float64],
+        stamp_ns: int,
+        sensed: Sequence[MotionFactor] = (),
     ) -> MotionLimit:
         """Return the limit after a frame whose measurements have the covariance `measured`.
 
         Along each direction the surer of measurement and prediction counts. They are not
         combined, because the estimate is not either. What that tells of the pose tells of the
         velocity too: joint' = joint + G (P' - P) G^T with the gain G = joint[:, pose] P^-1.
+        What other sensors have `sensed` of the motion limits the prediction.
         """
         Ad = se3.adjoint(se3.inverse(T_world_cam) @ self.T_world_cam)
         dt = (stamp_ns - self.stamp_ns) * 1e-9
         predicted = self._predicted(Ad, dt)
         before = predicted[:6, :6]
         bounded = before if np.trace(before) < 1.0 else surer(before, _ANY)
+        for one in sensed:
+            bounded = surer(bounded, one.added_to(Ad @ self.covariance @ Ad.T))
         half, ratios = _common_axes(measured, bounded)
         known = (half * np.minimum(ratios, 1.0)) @ half.T
         gain = np.linalg.solve(before + _FLOOR, predicted[:6]).T

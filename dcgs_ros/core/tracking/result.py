@@ -18,8 +18,8 @@ class TrackingState(Enum):
     """What a pose is worth."""
 
     OK = 'ok'
-    DEGENERATE = 'degenerate'  # tracked, but one direction is badly constrained
-    LOST = 'lost'  # the pose is the last good one
+    DEGENERATE = 'degenerate'  # tracked, or carried, but one direction is badly constrained
+    LOST = 'lost'  # the pose is the last good one, or a guess from it
     RELOCALISED = 'relocalised'  # a lost camera is found again, which is not confirmed yet
 
 
@@ -59,6 +59,7 @@ class TrackResult:
     # (6, 6) of the motion since the last frame that was tracked, in the camera frame of this one;
     # None: not known.
     motion_covariance: NDArray[np.floating] | None = None
+    carried: bool = False  # whether only other sensors tell the pose: the images show nothing
 
     @property
     def submap(self) -> int:

@@ -88,16 +88,16 @@ class Search:
         self, frame: RgbdFrame, known: Known, guesses: Sequence[NDArray[np.float64]]
     ) -> Estimate:
         """Return the estimate at the place that explains most of the frame."""
-        config, motion = known.config, known.memory.motion
+        config, memory = known.config, known.memory
+        prior = memory.prior(frame.stamp_ns)
         cloud = sample(frame, self._camera, config, config.cloud.stride_px, np.zeros(6))
         depth = DepthTerm(cloud, known.gaussians, self._camera.focal, config)
-        if not motion.is_gap(frame.stamp_ns):
-            guesses = [*guesses, motion.predict(frame.stamp_ns)]
+        if not memory.is_gap(frame.stamp_ns):
+            guesses = [*guesses, prior.T_world_cam]
         places = self._recognised(frame, known) if self._relocalizer.wants_places else []
         best = self._relocalizer.best(depth, config, guesses, places)
         T, grey = best.T_world_cam, to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
-        prior = motion.prior(frame.stamp_ns)
         return Estimate(registered, best, Landmarks.none(), None, True, prior)
 
     def _holds(self, found: Estimate, uncertainty: PoseUncertainty, known: Known) -> bool:
@@ -110,8 +110,7 @@ class Search:
         spectrum = observability(best.equations.H, uncertainty.information)
         if claims.is_degenerate(spectrum, claims.measured(uncertainty, clocks)):
             return False  # it may be anywhere along that direction
-        motion = known.memory.motion
-        if motion.is_gap(frame.stamp_ns):
+        if known.memory.is_gap(frame.stamp_ns):
             return True
         doubt = claims.in_doubt(uncertainty, clocks)
         return found.prior.sigmas_to(T, doubt) <= JUMP_SIGMAS

@@ -15,7 +15,8 @@ _SURE = (TrackingState.OK, TrackingState.DEGENERATE)  # a pose is known, not onl
 class KeyframeSelector:
     """Selects the tracker's keyframes, and every `interval`-th frame between them as a view.
 
-    Of a lost camera, or one whose relocalisation is not confirmed yet, no frame is a view.
+    Of a lost camera, one whose relocalisation is not confirmed yet, or one that only other sensors
+    carry, no frame is a view.
     """
 
     def __init__(self, interval: int) -> None:
@@ -26,7 +27,7 @@ class KeyframeSelector:
     def select(self, frame: RgbdFrame, result: TrackResult) -> list[PosedFrame]:
         """Return what the mapper should get now that this frame is tracked, oldest first."""
         selected: list[PosedFrame] = list(result.keyframes)
-        if result.state in _SURE:
+        if result.state in _SURE and not result.carried:
             self._since += 1
             if not result.keyframe and self._since >= self.interval:
                 view = PosedFrame(

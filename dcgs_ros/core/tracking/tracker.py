@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,11 +13,13 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..camera import PinholeCamera
-from ..config.stages import Config
+from ..config.stages import Config, PriorsConfig
 from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
+from ..priors.motion_priors import MotionPriors
+from ..priors.readings import AngularRate, BasePose
 from .claims import Claim, Clocks, PoseClaims
 from .corners import spread
 from .depth_bias import DepthBias
@@ -41,6 +44,8 @@ _REWOUND_S = 1.0  # a stamp farther back is of another clock, not disorder
 _AGREEING_CHI2 = 9.0  # of landmarks that tell colour's offset: corners may move, or be noise
 _CONFIRMATIONS = 5  # frames that must agree with the place where a lost camera was found
 _LOST_COVARIANCE = np.eye(6)  # 1 m, 1 rad
+# How far other sensors carry a pose: while turn and way are known, or on wheels for a time.
+_CARRIED_RAD, _CARRIED_M, _CARRIED_NS = 0.1, 0.5, 3_000_000_000
 
 
 class Tracker:
@@ -51,9 +56,12 @@ class Tracker:
         camera: PinholeCamera,
         config: Config | None = None,
         T_world_first: NDArray[np.float64] | None = None,
+        priors: MotionPriors | None = None,
     ) -> None:
         """Start with an empty map; the first frame is at `T_world_first`, identity by default.
 
+        `priors` are what the robot's other sensors tell, and where those are; there are none by
+        default, whatever `config` has of them.
         `config.threads` holds for the thread that makes the tracker, which is to call `track` too.
         """
         self.camera = camera
@@ -84,7 +92,13 @@ class Tracker:
         self.localize_only = False  # whether the map stays as it is, after `resume`; may be set
         self._unconfirmed = 0  # frames that must still agree with the place where it was found
         self._usual = Usual()
+        self.priors = priors or MotionPriors(PriorsConfig())
+        self._seen_ns = 0  # stamp of the last frame that was tracked
         self.threads = jit.set_threads(self._config.threads)
+
+    def sense(self, reading: AngularRate | BasePose) -> None:
+        """Take what another sensor measured, before the frames that were taken later."""
+        self.priors.sense(reading)
 
     def track(self, frame: RgbdFrame) -> TrackResult:
         """Register a frame, and make it a keyframe where the view has moved on.
@@ -98,6 +112,8 @@ class Tracker:
         self._received, frame = frame, self.corrected(frame)
         if not self._begun:
             return self._begin(frame)
+        sensed = self.priors.since(self._memory.motion, frame.stamp_ns)
+        self._memory = replace(self._memory, sensed=sensed)
         if repeated:
             return self._repeated(frame)
         self._standstill = None
@@ -118,7 +134,7 @@ class Tracker:
         )  # fmt: skip
         if evidence.contradicts:
             return self._sought(frame, self._lose(), guesses)
-        last = self._memory.last
+        found, last = self._carried_where_weak(found, uncertainty), self._memory.last
         self._accept(found, evidence)
         claim = self._claim(found, uncertainty)
         sure = not self._unconfirmed and not evidence.doubtful
@@ -127,7 +143,12 @@ class Tracker:
             self._held.append(self._extend_map(found.registered, last, claim))
         elif found.fresh and self._runs_out_of_landmarks():
             self._anchor_landmarks(found.registered)
-        return self._result(found, uncertainty, claim, keyframe)
+        result = self._result(found, uncertainty, claim, keyframe)
+        if sure and result.state is TrackingState.OK:
+            self.priors.learn(frame.stamp_ns, result.T_world_cam, result.covariance)
+        else:
+            self.priors.forget()
+        return result
 
     def _repeated(self, frame: RgbdFrame) -> TrackResult:
         """Keep the pose of a camera that may stand still; other repeated images are a fault."""
@@ -205,6 +226,7 @@ class Tracker:
         motions = self._visited.correct(correction)
         self.revision = correction.revision
         here = motions[self._host]
+        self.priors.forget()
         self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
@@ -294,7 +316,8 @@ class Tracker:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
         self._first = self._trial = None
         self._agreed = 0
-        self._memory = self._forgotten(self._memory.motion)
+        self._memory = replace(self._forgotten(self._memory.motion), sensed=self._memory.sensed)
+        self.priors.forget()
         self._search = Search(
             self.camera, self._memory.motion, self._visited, self._usual, self.recogniser
         )
@@ -357,6 +380,7 @@ class Tracker:
         claim: Claim,
     ) -> Keyframe:
         self._claims.begin(T_world_cam, frame.stamp_ns)
+        self.priors.begin(T_world_cam)
         self._memory = self._forgotten(ConstantVelocity(T_world_cam, frame.stamp_ns, twist))
         motion = se3.exp(twist * self._memory.lag_s(frame))
         registered = RegisteredFrame(frame, T_world_cam, motion, grey, twist, twist)
@@ -449,13 +473,45 @@ class Tracker:
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
-        """Report the last good pose; the next frame goes on from the last good one too."""
+        """Report the last good pose, or where other sensors carry it; the next goes on from it."""
         points, inliers = (0, 0) if found is None else (len(found.depth.points), found.inliers)
+        state, covariance, in_world = TrackingState.LOST, _LOST_COVARIANCE, _LOST_COVARIANCE
+        carried = self._carries(frame.stamp_ns)
+        if carried and self._claims.limit is not None:
+            state, covariance = TrackingState.DEGENERATE, self._claims.limit.covariance
+            hosts = Hosts.only(self._host, covariance)
+            in_world = self._visited.in_world(self.T_world_cam, hosts)
         return TrackResult(
-            frame.stamp_ns, self.T_world_cam, np.eye(4), _LOST_COVARIANCE, _LOST_COVARIANCE,
-            TrackingState.LOST, None, points, inliers, 0, False, self.flush(),
-            1e3 * self._offset.seconds, self._reference(self.T_world_cam),
+            frame.stamp_ns, self.T_world_cam, np.eye(4), covariance, in_world, state, None,
+            points, inliers, 0, False, self.flush(), 1e3 * self._offset.seconds,
+            self._reference(self.T_world_cam), carried=carried,
         )  # fmt: skip
+
+    def _carried_where_weak(self, found: Estimate, uncertainty: PoseUncertainty) -> Estimate:
+        """Return an estimate that goes on as other sensors tell where the frame says little."""
+        sensed, limits = self._memory.sensed, self._config.registration
+        if sensed is None or not sensed.tells_way:
+            return found
+        T = sensed.carried(
+            found.registered.T_world_cam, self._claims.measured(uncertainty, self._clocks),
+            self.T_world_cam, (limits.degenerate_m, limits.degenerate_rad),
+        )  # fmt: skip
+        return found.moved_to(T)
+
+    def _carries(self, stamp_ns: int) -> bool:
+        """Move the last pose on by what other sensors tell, as long as that is worth something."""
+        sensed, claims, motion = self._memory.sensed, self._claims, self._memory.motion
+        if sensed is None or not sensed.spans or claims.limit is None:
+            return False
+        T = self._memory.prior(stamp_ns).T_world_cam
+        covariance = claims.carry(T, stamp_ns, sensed.factors)
+        self._memory = replace(self._memory, motion=motion.advanced(T, stamp_ns))
+        way_m, turn_rad = (
+            math.sqrt(np.linalg.eigvalsh(block)[-1])
+            for block in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        soon = self.priors.on_wheels and stamp_ns - self._seen_ns < _CARRIED_NS
+        return turn_rad < _CARRIED_RAD and (soon or way_m < _CARRIED_M)
 
     def _accept(self, found: Estimate, evidence: Evidence) -> None:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
@@ -477,6 +533,7 @@ class Tracker:
             registered if found.fresh else memory.image,
             found.consistent_landmarks(self._config.landmarks.drop_chi2), memory.spread,
             result.overlap if found.sees_depth(self._config) else memory.overlap,
+            memory.sensed,
         )  # fmt: skip
 
     def _is_keyframe(self, found: Estimate) -> bool:
@@ -558,6 +615,7 @@ class Tracker:
         keyframe: bool,
     ) -> TrackResult:
         registered, result = found.registered, found.registration
+        self._seen_ns = registered.frame.stamp_ns
         spectrum = observability(result.equations.H, uncertainty.information)
         state = TrackingState.OK
         if self._unconfirmed:
@@ -584,7 +642,8 @@ class Tracker:
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> Claim:
         """Return how sure the pose is, in the map around the camera and in the world."""
         T, stamp_ns = found.registered.T_world_cam, found.registered.frame.stamp_ns
-        covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks)
+        sensed = () if self._memory.sensed is None else self._memory.sensed.factors
+        covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks, sensed)
         hosts = hosts_of(found.registration, uncertainty.rows, covariance, self._host)
         in_world = self._visited.in_world(T, hosts)
         return Claim(covariance, in_world, hosts, self._visited.submaps[self._host])

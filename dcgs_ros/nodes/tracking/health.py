@@ -86,7 +86,10 @@ def judge(
     if result.state is TrackingState.RELOCALISED:
         return Verdict(Level.WARN, 'found again in the map, to be confirmed by the next frames')
     if result.state is TrackingState.DEGENERATE:
-        assert result.observability is not None
+        if result.observability is None:
+            return Verdict(
+                Level.WARN, 'degenerate: the images show nothing new, or nothing at all'
+            )
         axis = weakest_axis(result.observability.weakest)
         return Verdict(Level.WARN, f'degenerate: hardly anything in view fixes {axis}')
     if result.submap:

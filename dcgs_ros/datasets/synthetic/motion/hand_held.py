@@ -81,9 +81,15 @@ class HandHeldPath:
                 2 * np.pi * t / sway.period_s + sway.phase
             )
         for turn in motion.turns:
-            share = np.clip((t % motion.cycle_s - turn.start_s) / turn.duration_s, 0, 1)
-            values[turn.channel] += turn.change * share**3 * (share * (6 * share - 15) + 10)
+            share = smooth_step((t % motion.cycle_s - turn.start_s) / turn.duration_s)
+            values[turn.channel] += turn.change * share
         for k in range(self._frequencies.shape[1]):
             angle = 2 * np.pi * self._frequencies[:, k, None] * t + self._phases[:, k, None]
             values += self._amplitudes[:, k, None] * np.sin(angle)
         return values
+
+
+def smooth_step(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far (N,) a change is at a share of its time: 0 before, 1 after, no jerk."""
+    share = np.clip(share, 0, 1)
+    return np.asarray(share**3 * (share * (6 * share - 15) + 10))

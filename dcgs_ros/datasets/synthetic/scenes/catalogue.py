@@ -30,7 +30,7 @@ class SceneKind:
 
 
 SCENES = {
-    'room': SceneKind(room, ('handheld', 'wheeled')),
+    'room': SceneKind(room, ('handheld', 'wheeled', 'turning')),
     'plane': SceneKind(plane),
     'zigzag': SceneKind(zigzag),
     'desk': SceneKind(desk, sensor='d435i_measured'),

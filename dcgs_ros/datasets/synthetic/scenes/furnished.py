@@ -8,17 +8,21 @@ import numpy as np
 
 from ..motion.hand_held import Motion, Sway, Turn
 from ..motion.path import PITCH, ROLL, YAW, X, Y, Z
+from ..motion.path import Motion as Moves
 from ..motion.route import GAITS, Route
+from ..motion.turning import OnTheSpot
 from .builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
 from .scenario import Scenario
 
+_MIDDLE = (-0.4, 0.1)
 _ROUND_THE_ROOM = ((-1.4, -1.0), (0.6, -1.0), (0.6, 1.2), (-1.4, 1.2))
 
 
 def room(rng: np.random.Generator, motion: str) -> Scenario:
     """Build a study of 5.6 x 4.8 x 2.6 m.
 
-    In the hand the camera stays in its middle, facing the desks; on wheels it goes round.
+    In the hand the camera stays in its middle, facing the desks; on wheels it goes round, or turns
+    on the spot.
     """
     build = SceneBuilder()
     add_walls(build)
@@ -54,7 +58,10 @@ def room(rng: np.random.Generator, motion: str) -> Scenario:
             Turn(YAW, 18.0, 25.0, 0.5), Turn(YAW, 19.0, -25.0, 0.55),
         ),
     )  # fmt: skip
-    moves = hand if motion == 'handheld' else Route(_ROUND_THE_ROOM, GAITS[motion])
+    moves: Moves = hand
+    if motion != 'handheld':
+        on_wheels = motion == 'wheeled'
+        moves = Route(_ROUND_THE_ROOM, GAITS[motion]) if on_wheels else OnTheSpot(_MIDDLE)
     return Scenario(build.build((0.5, 0.0, 2.3), 0.55), moves, pattern=4.0)
 
 

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 The dcgs_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The sensors that a robot has beside its camera, together: read, believed, learned about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import se3
+from ..config.stages import PriorsConfig
+from ..errors import DcgsError
+from ..tracking.motion import ConstantVelocity
+from .fusion import Sensed, is_likely
+from .gyro import Gyro
+from .planar import FloorPrior, on_floor
+from .readings import AngularRate, BasePose
+from .wheels import Wheels
+
+_WINDOW_NS = 500_000_000  # over which images and sensors are compared: long against their noise
+_LONGEST_NS = 1_500_000_000  # with frames missing in between
+
+
+class PriorsError(DcgsError):
+    """A sensor is asked for that there is not."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """A pose that the images are sure of."""
+
+    stamp_ns: int
+    T_world_cam: NDArray[np.float64]
+    covariance: NDArray[np.floating]
+
+
+class MotionPriors:
+    """Gyro, wheels and floor, each if its extrinsics are given and the configuration wants it."""
+
+    def __init__(
+        self,
+        config: PriorsConfig,
+        R_cam_imu: NDArray[np.float64] | None = None,
+        T_base_cam: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Take the rotation (3, 3) of the IMU and the place (4, 4) of the camera on the base.
+
+        Raises `PriorsError` where the configuration asks for a sensor whose place is not given.
+        """
+        if config.gyro and R_cam_imu is None:
+            raise PriorsError('priors.gyro: it is not known how the IMU is turned to the camera')
+        if (config.wheels or config.planar_m is not None) and T_base_cam is None:
+            raise PriorsError(
+                'priors.wheels, priors.planar_m: it is not known where on the base the camera is'
+            )
+        self._config, self._T_base_cam = config, T_base_cam
+        self.gyro = Gyro(R_cam_imu) if config.gyro and R_cam_imu is not None else None
+        self.wheels = Wheels(T_base_cam) if config.wheels and T_base_cam is not None else None
+        self._floor: FloorPrior | None = None
+        self._known: _Known | None = None
+
+    @property
+    def on_wheels(self) -> bool:
+        """Whether wheels carry the camera: it cannot dart aside as in a hand."""
+        return self._T_base_cam is not None
+
+    def sense(self, reading: AngularRate | BasePose) -> None:
+        """Take a reading, in order of the stamps of its kind."""
+        if isinstance(reading, AngularRate):
+            if self.gyro is not None:
+                self.gyro.sense(reading)
+        elif self.wheels is not None:
+            self.wheels.sense(reading)
+
+    def begin(self, T_world_cam: NDArray[np.float64]) -> None:
+        """Take the floor from where the camera is when its map begins."""
+        self._known = None
+        planar_m, T_base_cam = self._config.planar_m, self._T_base_cam
+        if planar_m is not None and T_base_cam is not None:
+            self._floor = on_floor(T_world_cam, T_base_cam, planar_m, self._config.planar_deg)
+
+    def since(self, motion: ConstantVelocity, end_ns: int) -> Sensed | None:
+        """Return what the sensors that can be used say of the time since the last pose, if any."""
+        start_ns, gyro, wheels = motion.stamp_ns, self.gyro, self.wheels
+        turn = way = turned = None
+        if gyro is not None and gyro.reason(end_ns) is None:
+            turn = gyro.turn(start_ns, end_ns)
+            turned = None if turn is None else gyro.factor(turn)
+        if wheels is not None and wheels.reason(end_ns) is None:
+            way = wheels.factor(start_ns, end_ns)
+        T, hand = motion.T_world_cam, motion.prior(end_ns)
+        turned, way = (
+            f if f is not None and is_likely(f, T, hand) else None for f in (turned, way)
+        )
+        factors = tuple(factor for factor in (turned, way) if factor is not None)
+        if not factors and self._floor is None:
+            return None
+        turn = None if turned is None else turn
+        return Sensed(factors, turn, self._floor, self._T_base_cam, way is not None)
+
+    def learn(
+        self, stamp_ns: int, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]
+    ) -> None:
+        """Compare with a pose (4, 4) that the images are sure of, covariance (6, 6)."""
+        now, known = _Known(stamp_ns, T_world_cam, covariance), self._known
+        if known is None or not 0 < stamp_ns - known.stamp_ns <= _LONGEST_NS:
+            self._known = now
+        elif stamp_ns - known.stamp_ns >= _WINDOW_NS:
+            self._known = now
+            T = se3.inverse(known.T_world_cam) @ T_world_cam
+            Ad = se3.adjoint(se3.inverse(T))
+            both = covariance + Ad @ known.covariance @ Ad.T
+            if self.gyro is not None:
+                self.gyro.learn(known.stamp_ns, stamp_ns, T[:3, :3], both[3:, 3:])
+            if self.wheels is not None:
+                self.wheels.learn(known.stamp_ns, stamp_ns, T, both)
+
+    def forget(self) -> None:
+        """Forget the window: the images are not sure, or the map has moved."""
+        self._known = None
+
+    def reasons(self, now_ns: int) -> dict[str, str]:
+        """Return for each prior 'used', or why it is not, in words."""
+        sensors = {'gyro': self.gyro, 'wheels': self.wheels}
+        said = {
+            name: sensor.reason(now_ns) or 'used'
+            for name, sensor in sensors.items()
+            if sensor is not None
+        }
+        return said | ({'planar': 'used'} if self._floor is not None else {})

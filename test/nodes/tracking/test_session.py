@@ -682,13 +682,29 @@ def test_where_it_only_localises_nothing_is_sent_and_the_map_is_never_left(
     again.session = TrackingSession(EAGER, T_BASE_CAM, again.warnings.append, localize_only=True)
     again.session.resume(known)
     again.feed(frames[4:9])
-    again.session.reset()
+    assert 'looking for the camera in the map' in again.session.reset()
     again.feed(frames_of(FULL)[9:11], FULL)  # another camera
     results = again.feed(frames[9:], by_ns=SECOND)
     assert states(results)[-1] is not TrackingState.LOST and not again.packets
     assert again.session.tracker is not None
     assert any('the map was made with another camera' in line for line in again.warnings)
     assert known.tracker.is_same_map(SavedTracker.of(again.session.tracker))
+
+
+def test_a_reset_leaves_a_map_that_was_loaded(tmp_path: Path) -> None:
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:8])
+    path = saved_by(feeder, tmp_path)
+    known, again, data = KnownMap.read(path), Feeder(EAGER), path.read_bytes()
+    again.session.load(known)
+    again.feed(frames[6:8])
+    assert 'begins a new map' in again.session.reset()
+    results = again.feed(frames[8:10])
+    assert states(results) == [TrackingState.OK] * 2
+    assert results[0] is not None
+    np.testing.assert_allclose(results[0].T_world_cam, T_BASE_CAM, atol=1e-9)
+    assert again.session.epoch != known.epoch and again.session.known is None
+    assert path.read_bytes() == data
 
 
 def test_another_map_is_loaded_while_tracking(tmp_path: Path) -> None:

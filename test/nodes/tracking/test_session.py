@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 pytest.importorskip('sensor_msgs')
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.backend.back_end import BackEnd
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
@@ -27,16 +30,18 @@ from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, epoch_of_file, same_tracker
 from dcgs_ros.nodes.messages.packet import KeyframePacket
-from dcgs_ros.nodes.tracking.back_end_worker import KnownKeyframes
+from dcgs_ros.nodes.tracking.back_end_worker import BackEndWorker, KnownKeyframes
 from dcgs_ros.nodes.tracking.known_map import KnownMap, preferred, save
 from dcgs_ros.nodes.tracking.map_mirror import Resumable
 from dcgs_ros.nodes.tracking.session import TrackingSession
 
 SECOND = 1_000_000_000
+HANGS_S = 60.0  # only a failure takes so long
 FRAMES = 14
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.5)
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal')
@@ -632,6 +637,53 @@ def test_the_submaps_of_a_resumed_map_are_its_own() -> None:
     result = after.feed(frames[7:8])[0]
     assert result is not None and result.submap == 1  # its place in the map is not known
     assert listening.known is not None and tuple(listening.known.submaps) == submaps
+
+
+def with_images(known: KnownMap, frames: Sequence[RgbdFrame]) -> KnownMap:
+    """Add the images of the keyframes, as the mapper saves them."""
+    by_stamp, images = {frame.stamp_ns: frame for frame in frames}, []
+    for k, stamp_ns in enumerate(known.stamps_ns):
+        frame = by_stamp[stamp_ns]
+        depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
+        jpeg, png = (
+            cv2.imencode(kind, image)[1].tobytes()
+            for kind, image in (('.jpg', frame.color[..., ::-1]), ('.png', depth))
+        )
+        images.append((k, jpeg, png))
+    features = features_of(images, known.camera, EAGER.sensor)
+    return replace(known, images=tuple(images), features=tuple(features))
+
+
+def test_the_back_end_takes_in_the_keyframes_of_a_file(tmp_path: Path) -> None:
+    frames, before = frames_of(HALF), Feeder(EAGER)
+    before.feed(frames[:8])
+    known = with_images(KnownMap.read(saved_by(before, tmp_path)), frames)
+    after, made = Feeder(EAGER), list[BackEnd]()
+
+    def make(camera: PinholeCamera, config: Config) -> BackEnd:
+        made.append(BackEnd(camera, config))
+        return made[-1]
+
+    worker = BackEndWorker(make, lambda *_: None, after.warnings.append)
+    after.session._loops = worker
+    after.session.resume(known)
+    after.feed(frames[6:])
+    tracker, back_end = after.session.tracker, made[0]
+    assert tracker is not None
+    end_s = time.monotonic() + HANGS_S
+    while back_end.keyframes < tracker.keyframes and time.monotonic() < end_s:
+        time.sleep(0.01)
+    worker.close()
+    assert not after.warnings and tracker.recogniser is not None
+    count = len(known.stamps_ns)
+    assert back_end.keyframes == tracker.keyframes > count
+    assert tracker.recogniser.knows(0) and tracker.recogniser.knows(count)
+    found = {one.keyframe for one in tracker.recogniser.recognise(frames[2])}
+    assert found & set(range(count))  # by the images of the file
+    kept = after.session.known
+    assert isinstance(kept, KnownMap) and not kept.images
+    poses = tracker.corrected_poses.T_world_cam
+    np.testing.assert_allclose(back_end.poses[:count], poses[:count], atol=1e-9)
 
 
 def test_keyframes_of_the_tracker_before_are_told_of_once_they_move() -> None:

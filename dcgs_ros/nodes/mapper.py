@@ -31,7 +31,7 @@ from .health import LOADING, Verdict
 from .lifetime import Worker, run
 from .mapping.keyframe_subscriber import KeyframeSubscriber
 from .mapping.outputs import MapOutputs
-from .mapping.session import MappingSession
+from .mapping.session import AFTER_RESET, MappingSession
 from .messages.corrections import read_correction
 from .messages.keyframes import read_keyframe
 from .messages.poses import matrix
@@ -41,7 +41,6 @@ from .services import answered, offer, refused
 from .transport import RELIABLE, latched
 
 _PAUSE_S = 0.01
-_AFTER_RESET = 'the map is empty; keyframes that the tracker keeps come again'
 _LIVE = ('mapping', 'rates')
 _FIXED = ('seed', 'ssim_weight', 'depth_weight')
 
@@ -93,7 +92,7 @@ class MapperNode(Node):
 
     def _on_reset(self) -> Future[str]:
         done = self._queue.submit(self._reset)
-        return done if self._ready else answered(_AFTER_RESET)
+        return done if self._ready else answered(AFTER_RESET)
 
     def _save(self) -> str:
         return self._session.save(Path(self._params.settings.node.save_folder))
@@ -122,10 +121,10 @@ class MapperNode(Node):
             self._warn(f'map not saved: {error}')
 
     def _reset(self) -> str:
-        self._session.reset()
-        self._outputs.keyframes(None)
-        self._outputs.update(None)
-        return _AFTER_RESET
+        text = self._session.reset()
+        self._outputs.keyframes(self._session.mapper)
+        self._outputs.update(self._session.mapper)
+        return text
 
     def _reconfigure(self, settings: MapperSettings) -> None:
         config = core_config(settings)

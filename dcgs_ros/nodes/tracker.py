@@ -37,9 +37,8 @@ from .tracking.known_map import KnownMap, preferred, save
 from .tracking.mapper_subscriber import MapperSubscriber
 from .tracking.outputs import TrackerOutputs
 from .tracking.pairing import ImagePair
-from .tracking.session import TrackingSession
+from .tracking.session import AFTER_RESET, TrackingSession
 
-_AFTER_RESET = 'the next frame begins a new map'
 _FIXED = (
     'sensor',
     'timing',
@@ -104,13 +103,13 @@ class TrackerNode(Node):
 
     def _on_reset(self) -> Future[str]:
         done = self._camera.queue.submit(self._reset)
-        return done if self._ready else answered(_AFTER_RESET)
+        return done if self._ready else answered(AFTER_RESET)
 
     def _reset(self) -> str:
-        self._session.reset()
+        text = self._session.reset()
         self._sender.forget()
         self._outputs.forget()
-        return _AFTER_RESET
+        return text
 
     def _when_ready(self, work: Callable[[], str]) -> Future[str]:
         return self._camera.queue.submit(work) if self._ready else refused(LOADING.message)

@@ -31,6 +31,8 @@ _RATE_WINDOW_S = 5.0  # over which steps per second are counted
 _FOREIGN_S = 10.0  # that another tracker is spoken of after its last keyframe
 _NO_TRACKER = 'no tracker runs in this namespace'
 AUTOSAVE = 'autosave.dcgs'
+AFTER_RESET = 'the map is empty; keyframes that the tracker keeps come again'
+_STAYS = 'node.mode is localization: the map stays as it was loaded'
 _CORRECTIONS = 4  # kept of maps that may still begin: the last one of each
 _BEHIND = 8  # waiting keyframes that are worth a warning
 
@@ -135,7 +137,7 @@ class MappingSession:
     def _begin(self, mapper: Mapper, epoch: int) -> None:
         if self.mapper is not None:
             self._warn(f'the tracker began a new map: {len(self.mapper.table)} Gaussians are gone')
-        self.reset()
+        self._drop()
         self.mapper, self.epoch = mapper, epoch
 
     def load(self, path: Path) -> str:
@@ -147,14 +149,20 @@ class MappingSession:
         saved, epoch = read_map(path), epoch_of_file(path)
         mapper = Mapper(saved.camera, self.config, workers=self._workers)
         restore_mapper(mapper, saved, epoch * EPOCH)
-        self.reset()
+        self._drop()
         self.mapper, self.epoch, self._before = mapper, epoch, saved.sessions
         self.stamps.update(view.stamp_ns for view in mapper.views)
         self._steps_since_keyframe = self.config.mapping.final_steps
         return f'{len(saved.splats)} Gaussians, {len(saved.keyframes)} keyframes in {path}'
 
-    def reset(self) -> None:
-        """Drop the map; keyframes that the tracker keeps may come again."""
+    def reset(self) -> str:
+        """Drop the map, unless it only localises; return what comes of it."""
+        if self._localize_only:
+            return _STAYS
+        self._drop()
+        return AFTER_RESET
+
+    def _drop(self) -> None:
         self.mapper, self.epoch, self._before = None, 0, ()
         self.stamps.clear()
 

@@ -21,7 +21,7 @@ from ...core.keyframe import Correction, Keyframe
 from ...core.tracking.relocalization import Recogniser, Recognition
 
 _END_S = 5.0
-_MOST_IMAGES = 50  # of keyframes that wait: 1.5 MB each at 640x480
+_MOST_IMAGES = 50  # of keyframes that wait: 2 MB each at 640x480
 
 
 @dataclass(frozen=True)

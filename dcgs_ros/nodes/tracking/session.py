@@ -32,6 +32,7 @@ from .known_map import Known, KnownMap
 
 _OTHER_CAMERA = 'the map was made with another camera: it can be tracked in, but not extended'
 _LOOKING = 'looking for the camera in the map'
+AFTER_RESET = 'the next frame begins a new map'
 _STILL = 1e-6  # m and rad that rounding may move a keyframe which stays where it is
 
 
@@ -87,16 +88,17 @@ class TrackingSession:
         self.reset()
         self.resume(known)
 
-    def reset(self) -> None:
+    def reset(self) -> str:
         """Begin a new map, at the place and with the camera of the next frame.
 
-        Where it only localises, begin anew in the same one.
+        Where it only localises, begin anew in the same one. Return what comes of it.
         """
         self.tracker = None
         if not self._localize_only:
             self._resumable = None
         self.epoch = self._own_epoch = next_epoch(self._own_epoch)
         self._stamp_ns, self._held, self.ever_tracked = None, False, False
+        return _LOOKING if self._localize_only else AFTER_RESET
 
     def remount(self, T_base_cam: NDArray[np.float64], frame: RgbdFrame) -> None:
         """Take the pose (4, 4) of the camera on the base; where another was assumed, begin anew.

@@ -636,3 +636,19 @@ def test_submaps_of_keyframes_are_known_saved_and_joined(
     again.load(path)
     assert again.mapper is not None and again.mapper.submaps == expected
     again.close()
+
+
+def test_a_reset_empties_the_map_unless_it_only_localises(
+    session: MappingSession, tmp_path: Path
+) -> None:
+    session.insert(packet_of(0))
+    path = Path(session.save(tmp_path).rpartition(' in ')[2]) / 'map.dcgs'
+    fixed = MappingSession(CONFIG, print, localize_only=True)
+    for one, stays in ((session, False), (fixed, True)):
+        one.load(path)
+        before = one.mapper
+        assert ('stays as it was loaded' in one.reset()) == stays
+        assert one.mapper is (before if stays else None) and bool(one.stamps) == stays
+        one.load(path)
+        assert one.mapper is not before and one.stamps == {10**9}
+    fixed.close()

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 pytest.importorskip('sensor_msgs')
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.backend.back_end import BackEnd
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
@@ -27,16 +30,18 @@ from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, epoch_of_file, same_tracker
 from dcgs_ros.nodes.messages.packet import KeyframePacket
-from dcgs_ros.nodes.tracking.back_end_worker import KnownKeyframes
+from dcgs_ros.nodes.tracking.back_end_worker import BackEndWorker, KnownKeyframes
 from dcgs_ros.nodes.tracking.known_map import KnownMap, preferred, save
 from dcgs_ros.nodes.tracking.map_mirror import Resumable
 from dcgs_ros.nodes.tracking.session import TrackingSession
 
 SECOND = 1_000_000_000
+HANGS_S = 60.0  # only a failure takes so long
 FRAMES = 14
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.5)
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal')
@@ -634,6 +639,53 @@ def test_the_submaps_of_a_resumed_map_are_its_own() -> None:
     assert listening.known is not None and tuple(listening.known.submaps) == submaps
 
 
+def with_images(known: KnownMap, frames: Sequence[RgbdFrame]) -> KnownMap:
+    """Add the images of the keyframes, as the mapper saves them."""
+    by_stamp, images = {frame.stamp_ns: frame for frame in frames}, []
+    for k, stamp_ns in enumerate(known.stamps_ns):
+        frame = by_stamp[stamp_ns]
+        depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
+        jpeg, png = (
+            cv2.imencode(kind, image)[1].tobytes()
+            for kind, image in (('.jpg', frame.color[..., ::-1]), ('.png', depth))
+        )
+        images.append((k, jpeg, png))
+    features = features_of(images, known.camera, EAGER.sensor)
+    return replace(known, images=tuple(images), features=tuple(features))
+
+
+def test_the_back_end_takes_in_the_keyframes_of_a_file(tmp_path: Path) -> None:
+    frames, before = frames_of(HALF), Feeder(EAGER)
+    before.feed(frames[:8])
+    known = with_images(KnownMap.read(saved_by(before, tmp_path)), frames)
+    after, made = Feeder(EAGER), list[BackEnd]()
+
+    def make(camera: PinholeCamera, config: Config) -> BackEnd:
+        made.append(BackEnd(camera, config))
+        return made[-1]
+
+    worker = BackEndWorker(make, lambda *_: None, after.warnings.append)
+    after.session._loops = worker
+    after.session.resume(known)
+    after.feed(frames[6:])
+    tracker, back_end = after.session.tracker, made[0]
+    assert tracker is not None
+    end_s = time.monotonic() + HANGS_S
+    while back_end.keyframes < tracker.keyframes and time.monotonic() < end_s:
+        time.sleep(0.01)
+    worker.close()
+    assert not after.warnings and tracker.recogniser is not None
+    count = len(known.stamps_ns)
+    assert back_end.keyframes == tracker.keyframes > count
+    assert tracker.recogniser.knows(0) and tracker.recogniser.knows(count)
+    found = {one.keyframe for one in tracker.recogniser.recognise(frames[2])}
+    assert found & set(range(count))  # by the images of the file
+    kept = after.session.known
+    assert isinstance(kept, KnownMap) and not kept.images
+    poses = tracker.corrected_poses.T_world_cam
+    np.testing.assert_allclose(back_end.poses[:count], poses[:count], atol=1e-9)
+
+
 def test_keyframes_of_the_tracker_before_are_told_of_once_they_move() -> None:
     frames, before = frames_of(HALF), Feeder(EAGER)
     before.feed(frames[:8])
@@ -682,13 +734,29 @@ def test_where_it_only_localises_nothing_is_sent_and_the_map_is_never_left(
     again.session = TrackingSession(EAGER, T_BASE_CAM, again.warnings.append, localize_only=True)
     again.session.resume(known)
     again.feed(frames[4:9])
-    again.session.reset()
+    assert 'looking for the camera in the map' in again.session.reset()
     again.feed(frames_of(FULL)[9:11], FULL)  # another camera
     results = again.feed(frames[9:], by_ns=SECOND)
     assert states(results)[-1] is not TrackingState.LOST and not again.packets
     assert again.session.tracker is not None
     assert any('the map was made with another camera' in line for line in again.warnings)
     assert known.tracker.is_same_map(SavedTracker.of(again.session.tracker))
+
+
+def test_a_reset_leaves_a_map_that_was_loaded(tmp_path: Path) -> None:
+    feeder, frames = Feeder(EAGER), frames_of(HALF)
+    feeder.feed(frames[:8])
+    path = saved_by(feeder, tmp_path)
+    known, again, data = KnownMap.read(path), Feeder(EAGER), path.read_bytes()
+    again.session.load(known)
+    again.feed(frames[6:8])
+    assert 'begins a new map' in again.session.reset()
+    results = again.feed(frames[8:10])
+    assert states(results) == [TrackingState.OK] * 2
+    assert results[0] is not None
+    np.testing.assert_allclose(results[0].T_world_cam, T_BASE_CAM, atol=1e-9)
+    assert again.session.epoch != known.epoch and again.session.known is None
+    assert path.read_bytes() == data
 
 
 def test_another_map_is_loaded_while_tracking(tmp_path: Path) -> None:

@@ -210,10 +210,11 @@ def test_the_same_frames_give_the_same_bytes_with_any_threads(address: str) -> N
 def test_the_covariance_is_one(address: str, ablation: Ablation) -> None:
     """Symmetric, positive definite, and of millimetres here; also of walls that are flat."""
     for result in tracked(address, ablation)[1:]:
-        covariance = result.covariance
-        np.testing.assert_allclose(covariance, covariance.T, rtol=1e-6, atol=1e-18)
-        eigenvalues = np.linalg.eigvalsh(covariance)
-        assert 0 < eigenvalues[0] and eigenvalues[-1] < 0.02**2
+        assert result.motion_covariance is not None
+        for covariance in (result.covariance, result.motion_covariance):
+            np.testing.assert_allclose(covariance, covariance.T, rtol=1e-6, atol=1e-18)
+            eigenvalues = np.linalg.eigvalsh(covariance)
+            assert 0 < eigenvalues[0] and eigenvalues[-1] < 0.02**2
 
 
 def test_the_world_is_no_surer_than_the_map() -> None:
@@ -243,6 +244,9 @@ def test_what_stamps_leave_open_lies_along_the_motion() -> None:
         moved = se3.log(se3.inverse(before.T_world_cam) @ one.T_world_cam) * 0.01 / dt_s
         added = one.covariance - other.covariance
         np.testing.assert_allclose(added, np.outer(moved, moved), rtol=1e-6, atol=1e-12)
+        assert one.motion_covariance is not None and other.motion_covariance is not None
+        added = one.motion_covariance - other.motion_covariance  # at both ends of the motion
+        np.testing.assert_allclose(added, 2 * np.outer(moved, moved), rtol=1e-6, atol=1e-12)
 
 
 def test_a_readout_begins_the_map_anew_with_the_velocity() -> None:

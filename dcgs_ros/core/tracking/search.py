@@ -79,7 +79,7 @@ class Search:
         self._stamp_ns = frame.stamp_ns
         found = self._best(frame, known, guesses)
         uncertainty = known.claims.uncertainty(found.registration)
-        if self._holds(found, uncertainty, known) and self._looks_right(found, known):
+        if self._holds(found, uncertainty, known):
             return Sought(found, uncertainty)
         self.seconds += step_s
         return Sought(found, None)
@@ -101,7 +101,7 @@ class Search:
         return Estimate(registered, best, Landmarks.none(), None, True, prior)
 
     def _holds(self, found: Estimate, uncertainty: PoseUncertainty, known: Known) -> bool:
-        """Return whether the camera may be where the estimate says, by depth and by its motion."""
+        """Return whether the camera is where the estimate says."""
         best, frame, T = found.registration, found.registered.frame, found.registered.T_world_cam
         config, claims, clocks = known.config, known.claims, known.clocks
         agreement = known.gaussians.agreement(T, frame.depth_m, self._camera, config.sensor)
@@ -114,18 +114,6 @@ class Search:
             return True
         doubt = claims.in_doubt(uncertainty, clocks)
         return found.prior.sigmas_to(T, doubt) <= JUMP_SIGMAS
-
-    def _looks_right(self, found: Estimate, known: Known) -> bool:
-        """Return whether what the image shows was recognised, where it could be.
-
-        Another room may have the same shape. But a camera that was tracked half a second ago is
-        still in its own.
-        """
-        best, recogniser = found.registration, known.recogniser
-        if recogniser is None or best.image is not None:
-            return True
-        gap = known.memory.motion.is_gap(found.registered.frame.stamp_ns)
-        return not (gap and recogniser.knows(int(np.bincount(best.hosts).argmax())))
 
     def _recognised(
         self, frame: RgbdFrame, known: Known

@@ -48,8 +48,8 @@ MAP_GAUSSIAN = _row(
 )
 KEYFRAME_POSE = np.dtype(
     [
-        ('sec', '<i4'), ('nanosec', '<u4'), ('submap', '<i4'),
-        *((name, '<f4') for name in 'x y z qx qy qz qw'.split()),
+        ('sec', '<i4'), ('nanosec', '<u4'),
+        *((name, '<f4') for name in 'x y z qx qy qz qw'.split()), ('submap', '<i4'),
     ]
 )  # fmt: skip
 # Where the tracker's keyframes are after a correction, in the order of their index, which `id`

@@ -59,5 +59,5 @@ def keyframe_rows(views: Sequence[KeyframeView], submaps: Sequence[int]) -> NDAr
     for k, (view, submap) in enumerate(zip(views, submaps, strict=True)):
         w, x, y, z = se3.to_quaternion(view.T_world_cam)
         stamp = divmod(view.stamp_ns, 1_000_000_000)
-        rows[k] = (*stamp, submap, *view.T_world_cam[:3, 3], x, y, z, w)
+        rows[k] = (*stamp, *view.T_world_cam[:3, 3], x, y, z, w, submap)
     return rows

@@ -162,21 +162,6 @@ def test_depth_alone_finds_no_place_that_is_known_by_its_looks(known: bool) -> N
     assert places.asked > 0 or not known
 
 
-@pytest.mark.parametrize(('known', 'gap_s'), [(True, 0.0), (True, 1.0), (False, 1.0)])
-def test_after_a_gap_a_room_of_the_same_shape_is_not_taken_for_a_known_one(
-    known: bool, gap_s: float
-) -> None:
-    """Where the last pose fits, depth alone says so too; a moment later it is still the room."""
-    frames, tracker = frames_of(ROOM), tracker_for()
-    for frame in frames[:12]:
-        tracker.track(frame)
-    tracker.recogniser = KnowsPlaces(known)
-    later = _on(frames[12:15], frames[11].stamp_ns + 33_000_000 + round(gap_s * 1e9))
-    tracker._lose()
-    states = [tracker.track(frame).state for frame in later]
-    assert (TrackingState.RELOCALISED in states) is not (known and gap_s > 0.5)
-
-
 def test_what_a_frame_is_relative_to_its_keyframe_survives_corrections() -> None:
     frames, tracker = frames_of(ROOM), tracker_for()
     results = [tracker.track(frame) for frame in frames[:14]]

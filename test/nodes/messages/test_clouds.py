@@ -190,17 +190,17 @@ def good() -> PointCloud2:
 
 BAD_CLOUDS: dict[str, tuple[dict[str, Any], str]] = {
     'short data': (
-        {'data': bytes(179)},
-        '5x1 points of 36 bytes in rows of 180 bytes do not match',
+        {'data': bytes(199)},
+        '5x1 points of 40 bytes in rows of 200 bytes do not match',
     ),
     'no data': ({'data': b''}, 'do not match 0 bytes'),
-    'short rows': ({'row_step': 179}, 'in rows of 179 bytes'),
+    'short rows': ({'row_step': 199}, 'in rows of 199 bytes'),
     'no rows': ({'row_step': 0}, 'in rows of 0 bytes'),
-    'short points': ({'point_step': 35}, "'qw' ends at byte 36 of a point of 35"),
+    'short points': ({'point_step': 39}, "'submap' ends at byte 40 of a point of 39"),
     'no points': ({'point_step': 0}, 'of a point of 0'),
     'many points': ({'width': 2**32 - 1}, '4294967295x1 points'),
     'many rows': ({'height': 2**32 - 1}, '5x4294967295 points'),
-    'two gigabytes': ({'width': 2**26, 'row_step': 36 * 2**26}, 'rows of 2415919104 bytes'),
+    'two gigabytes': ({'width': 2**26, 'row_step': 40 * 2**26}, 'rows of 2684354560 bytes'),
     'no fields': ({'fields': []}, "no field 'sec'; it has none"),
 }
 
@@ -223,7 +223,7 @@ def test_a_broken_cloud_is_refused_with_its_numbers(fault: str) -> None:
         ({'datatype': 200}, "'y' is 1 of type 200"),
         ({'count': 2}, "'y' is 2 of type 7"),
         ({'count': 0}, "'y' is 0 of type 7"),
-        ({'offset': 33}, "'y' ends at byte 37 of a point of 36"),
+        ({'offset': 37}, "'y' ends at byte 41 of a point of 40"),
         ({'offset': 2**32 - 1}, "'y' ends at byte 4294967299"),
     ],
 )
@@ -239,6 +239,6 @@ def test_fields_that_share_bytes_cannot_claim_more_than_was_sent() -> None:
     cloud = good()
     for field in cloud.fields:
         field.offset = 0
-    cloud.point_step, cloud.width, cloud.row_step = 4, 45, 180
-    with pytest.raises(MessageError, match='a point has 4 bytes, its fields 36'):
+    cloud.point_step, cloud.width, cloud.row_step = 4, 50, 200
+    with pytest.raises(MessageError, match='a point has 4 bytes, its fields 40'):
         read_cloud(cloud, KEYFRAME_POSE)

@@ -29,8 +29,9 @@ _CHI2_OF_NOISE = 0.2  # less than any real sensor's
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
 _SOME = 20  # landmarks; fewer may be noise
-_APART = 1.0  # of the limits of a degenerate pose and what is claimed; at most 0.9 there
+_APART = 1.0  # of the limits of a degenerate pose and what is claimed; at most 0.56 there
 _DOUBTFUL_APART = 2.0 / 3.0
+_CONFIRMING_APART = 0.5  # at most; a camera that was found by depth has new landmarks
 _VANISHED = 0.2  # share of many landmarks that are found again; at least 0.36 there
 _SUPPORT, _MANY = 0.8, 50  # share and number of consistent landmarks
 _ROWS_APART = 16  # these rows tell most images apart, before all are compared
@@ -124,6 +125,11 @@ class Evidence:
             or self.chi2_ratio > _DOUBTFUL_RISE
             or self.apart > _DOUBTFUL_APART
         )
+
+    @property
+    def confirms(self) -> bool:
+        """Whether the frame agrees with the place where a lost camera was found."""
+        return not self.doubtful and self.apart < _CONFIRMING_APART
 
 
 def weigh(

@@ -70,10 +70,11 @@ def test_depth_and_landmarks_that_are_far_apart_suffice(landmarks: int) -> None:
     """However many landmarks agree: the pose went with them."""
     seen = [
         replace(evidence(consistent=1.0, landmarks=landmarks), apart=apart)
-        for apart in (1.1, 0.8, 0.5)
+        for apart in (1.1, 0.8, 0.6, 0.4)
     ]
-    assert [e.contradicts for e in seen] == [True, False, False]
-    assert [e.doubtful for e in seen] == [True, True, False]
+    assert [e.contradicts for e in seen] == [True, False, False, False]
+    assert [e.doubtful for e in seen] == [True, True, False, False]
+    assert [e.confirms for e in seen] == [False, False, False, True]
 
 
 def test_what_is_not_mapped_yet_lowers_the_overlap_but_not_the_agreement() -> None:

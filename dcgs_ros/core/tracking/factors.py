@@ -16,6 +16,8 @@ from ..kernels.jit import inlined, kernel
 from ..kernels.small_matrix import inverse_symmetric, solve
 from ..sensor import SensorNoise
 
+_WEAK = np.eye(6)  # 1 / m^2, 1 / rad^2: keeps a system that says nothing solvable
+
 
 @dataclass(frozen=True)
 class Targets:
@@ -108,6 +110,17 @@ class NormalEquations:
         solve(np.eye(6) + self.H @ Q, both)
         H, g = both[:, :6], both[:, 6]
         return NormalEquations(0.5 * (H + H.T), g, self.cost - float(self.g @ Q @ g))
+
+    def apart_from(self, other: NormalEquations) -> NormalEquations:
+        """Return the equations of the offset delta by which two terms place the pose apart.
+
+        The pose is marginalised: delta = H_1^-1 g_1 - H_2^-1 g_2, with the information
+        S = (H_1^-1 + H_2^-1)^-1, which is none along what either leaves open.
+        """
+        both = self + other
+        share = np.linalg.solve(both.H + _WEAK, self.H)
+        cost = both.cost - float(both.g @ np.linalg.solve(both.H + _WEAK, both.g))
+        return NormalEquations(self.H - self.H @ share, self.g - share.T @ both.g, cost)
 
     def step(self, damping: float) -> NDArray[np.float64]:
         """Return the solution xi (6,) of (H + damping diag(H)) xi = g (Marquardt's scaling)."""

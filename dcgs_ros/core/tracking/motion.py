@@ -161,14 +161,11 @@ class ColorDepthOffset:
         """
         if not self._estimating:
             return
-        both = depth + image
-        share = np.linalg.solve(both.H + _WEAK, depth.H)
-        S = depth.H - depth.H @ share
+        apart = depth.apart_from(image)
         J = np.column_stack([np.eye(6), twist])
-        self._system += J.T @ S @ J
+        self._system += J.T @ apart.H @ J
         # delta is what remains with the offset in use: in total it is delta + v tau.
-        disagreement = depth.g - share.T @ both.g + S @ twist * self.seconds
-        self._right += J.T @ disagreement
+        self._right += J.T @ (apart.g + apart.H @ twist * self.seconds)
         self._span_s += dt_s
         information, weighted = self._marginal()
         estimate = (self._weighted + weighted) / (self._information + information)

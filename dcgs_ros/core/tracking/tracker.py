@@ -518,7 +518,7 @@ class Tracker:
         if not evidence.doubtful:
             if not self._unconfirmed:
                 self._depth_bias.observe(found.registration)
-            self._unconfirmed = max(self._unconfirmed - 1, 0)
+            self._unconfirmed = max(self._unconfirmed - evidence.confirms, 0)
             if found.sees_depth(self._config):
                 self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration

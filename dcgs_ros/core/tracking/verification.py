@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..camera import PinholeCamera
 from ..config.stages import Config
 from ..frame import RgbdFrame
 from .estimator import Estimate, Memory
+from .factors import PosePrior
 from .gaussian_map import GaussianMap
 from .registration import Registration
 
@@ -26,6 +28,9 @@ _CHI2_OF_NOISE = 0.2  # less than any real sensor's
 _DISSENT = 0.25  # share of consistent landmarks; at least 0.3 there
 _DOUBTFUL_DISSENT = 0.6
 _SOME = 20  # landmarks; fewer may be noise
+_APART = 1.0  # of the limits of a degenerate pose and what is claimed; at most 0.65 there
+_DOUBTFUL_APART = 2.0 / 3.0
+_CONFIRMING_APART = 0.5  # at most; a camera that was found by depth has new landmarks
 _VANISHED = 0.2  # share of many landmarks that are found again; at least 0.36 there
 _SUPPORT, _MANY = 0.8, 50  # share and number of consistent landmarks
 _ROWS_APART = 16  # these rows tell most images apart, before all are compared
@@ -78,6 +83,7 @@ class Evidence:
     consistent: float  # share of the landmarks that agree with the pose; 1: there are none
     landmarks: int  # followed into the frame
     kept: float = 1.0  # share of the last image's landmarks that were found in this one
+    apart: float = 0.0  # of depth and landmarks, each alone: share of what is allowed
 
     @property
     def misfits(self) -> bool:
@@ -93,7 +99,9 @@ class Evidence:
         """Whether the estimate is wrong: a jump or a misfit that cannot be, or two doubts.
 
         Landmarks alone do not make it wrong, as things move and turn in front of a camera; many
-        that agree outweigh a doubt, and a knock is a jump that they confirm.
+        that agree outweigh a doubt, and a knock is a jump that they confirm. They agree with the
+        pose wherever they pull it: if depth by itself says another one, colour and depth are not
+        of one camera at one instant.
         """
         jumps = self.jump_sigmas > _DOUBTFUL_SIGMAS
         dissent = self.consistent < _DISSENT and self.landmarks >= _SOME
@@ -102,6 +110,7 @@ class Evidence:
         return (
             (self.jump_sigmas > JUMP_SIGMAS and not support)
             or self.chi2_ratio > _CHI2_RISE
+            or self.apart > _APART
             or jumps + other_view + self.misfits - support >= 2
         )
 
@@ -113,7 +122,13 @@ class Evidence:
             or self.misfits
             or self.consistent < _DOUBTFUL_DISSENT
             or self.chi2_ratio > _DOUBTFUL_RISE
+            or self.apart > _DOUBTFUL_APART
         )
+
+    @property
+    def confirms(self) -> bool:
+        """Whether the frame agrees with the place where a lost camera was found."""
+        return not self.doubtful and self.apart < _CONFIRMING_APART
 
 
 def weigh(
@@ -145,7 +160,33 @@ def weigh(
     kept, before = 1.0, len(memory.landmarks)
     if found.fresh and before >= _MANY:
         kept = len(found.landmarks) / before
-    return Evidence(jump, overlap, agreement, chi2, consistent, len(found.landmarks), kept)
+    apart = _apart(result, found.prior, uncertain, config)
+    return Evidence(jump, overlap, agreement, chi2, consistent, len(found.landmarks), kept, apart)
+
+
+def _apart(
+    found: Registration,
+    prior: PosePrior,
+    uncertain: NDArray[np.float64],  # (6, 6) as in `weigh`
+    config: Config,
+) -> float:
+    """Return how far depth and landmarks, each alone, place the camera from each other.
+
+    It is a share of the limits of a degenerate pose, of what a bias of depth moves it besides, and
+    of what is claimed to be open. Along what one of them hardly holds the offset counts the less:
+    as if known to be 0 as well as the predicted pose is known.
+    """
+    if found.image is None or found.image_equations is None:
+        return 0.0
+    limits, offset = config.registration, found.sharp_depth.apart_from(found.image_equations)
+    known = np.repeat([prior.sigma_m**-2, prior.sigma_rad**-2], 3)
+    delta = np.linalg.solve(offset.H + np.diag(known), offset.g)
+    bias_m = config.sensor.depth_bias * float(np.mean(found.image.points[:, 2]))
+    allowed = ((slice(3), limits.degenerate_m + bias_m), (slice(3, 6), limits.degenerate_rad))
+    return max(
+        math.sqrt(delta[k] @ np.linalg.solve(limit**2 * np.eye(3) + uncertain[k, k], delta[k]))
+        for k, limit in allowed
+    )
 
 
 def is_repetition(frame: RgbdFrame, last: RgbdFrame) -> bool:

@@ -298,6 +298,32 @@ def test_limited_pairs_are_limited_equations() -> None:
     np.testing.assert_allclose(limited.g, expected.g)
 
 
+def sure_equations(seed: int) -> NormalEquations:
+    """Return equations beside which what keeps an empty system solvable does not count."""
+    random = random_equations(seed)
+    return NormalEquations(1e6 * random.H, 1e6 * random.g, 1e6 * random.cost)
+
+
+def test_terms_are_apart_by_the_way_between_their_minima() -> None:
+    """Marginalised over the pose; there both terms are at their own minimum."""
+    one, other = sure_equations(seed=15), sure_equations(seed=16)
+    apart = one.apart_from(other)
+    delta = np.linalg.solve(one.H, one.g) - np.linalg.solve(other.H, other.g)
+    np.testing.assert_allclose(np.linalg.solve(apart.H, apart.g), delta, rtol=1e-4)
+    covariance = np.linalg.inv(one.H) + np.linalg.inv(other.H)
+    np.testing.assert_allclose(np.linalg.inv(apart.H), covariance, rtol=1e-4, atol=1e-10)
+    lowest = sum(e.cost - e.g @ np.linalg.solve(e.H, e.g) for e in (one, other))
+    assert apart.cost - apart.g @ delta == pytest.approx(lowest, rel=1e-4)
+
+
+def test_along_what_one_term_leaves_open_nothing_is_apart() -> None:
+    held, other = np.diag([1e6, 1e6, 1e6, 1e6, 1e6, 0.0]), sure_equations(seed=17)
+    one = NormalEquations(held, held @ np.ones(6), 1e6)
+    for apart in (one.apart_from(other), other.apart_from(one)):
+        np.testing.assert_allclose(apart.H[5], 0.0, atol=2.0)
+        assert apart.g[5] == pytest.approx(0.0, abs=2.0)
+
+
 def test_terms_add() -> None:
     one, other = random_equations(seed=12), random_equations(seed=13)
     total = one + other

@@ -186,14 +186,18 @@ def test_a_doubtful_frame_is_tracked_but_not_mapped(monkeypatch: pytest.MonkeyPa
     assert_true([doubted, after], first=5)
 
 
-def test_a_doubtful_frame_does_not_confirm_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize('doubt', [{'consistent': 0.5}, {'apart': 0.6}])
+def test_a_doubtful_frame_does_not_confirm_a_place(
+    monkeypatch: pytest.MonkeyPatch, doubt: dict[str, float]
+) -> None:
+    """Nor does one whose new landmarks begin to say something else than depth."""
     frames, tracker = frames_of(ROOM), tracker_for()
     for frame in frames[:5]:
         tracker.track(frame)
     tracker.interrupt()
     assert tracker.track(frames[5]).state is FOUND
     with monkeypatch.context() as patch:
-        replaced_evidence(patch, consistent=0.5)
+        replaced_evidence(patch, **doubt)
         doubted = [tracker.track(frame) for frame in frames[6:9]]
     after = [tracker.track(frame) for frame in frames[9:14]]
     assert states(doubted + after) == [FOUND] * 3 + [FOUND] * 4 + [OK]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tracked_room import SEEN, frames, tracker  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
 from dcgs_ros.core.tracking.verification import Evidence, Usual, is_repetition, weigh
 
@@ -62,6 +63,18 @@ def test_a_jump_suffices_unless_many_landmarks_confirm_it(
     ]
     assert [e.contradicts for e in seen] == [not confirmed, False, False]
     assert [e.doubtful for e in seen] == [True, True, False]
+
+
+@pytest.mark.parametrize('landmarks', [FEW, MANY])
+def test_depth_and_landmarks_that_are_far_apart_suffice(landmarks: int) -> None:
+    """However many landmarks agree: the pose went with them."""
+    seen = [
+        replace(evidence(consistent=1.0, landmarks=landmarks), apart=apart)
+        for apart in (1.1, 0.8, 0.6, 0.4)
+    ]
+    assert [e.contradicts for e in seen] == [True, False, False, False]
+    assert [e.doubtful for e in seen] == [True, True, False, False]
+    assert [e.confirms for e in seen] == [False, False, False, True]
 
 
 def test_what_is_not_mapped_yet_lowers_the_overlap_but_not_the_agreement() -> None:
@@ -116,11 +129,12 @@ def weighed(
     memory: Memory | None = None,
     usual: Usual | None = None,
     uncertain: float = 0.0,
+    config: Config | None = None,
 ) -> Evidence:
     made = tracker()
     return weigh(
         estimated or found(), memory or made._memory, usual or made._usual,
-        uncertain * np.eye(6), made.gaussians, made.camera, made.config,
+        uncertain * np.eye(6), made.gaussians, made.camera, config or made.config,
     )  # fmt: skip
 
 
@@ -195,6 +209,57 @@ def test_the_share_of_consistent_landmarks_is_counted(share: float) -> None:
     targets = replace(image.targets, points=image.targets.points + shift)
     off = replace(found(), image=replace(image, targets=targets))
     assert weighed(off).consistent == pytest.approx(1.0 - np.mean(moved), abs=0.05)
+
+
+def landmarks_moved(xi: NDArray[np.float64]) -> Estimate:
+    """Return the estimate with landmarks that say that the camera is moved by `xi` (6,)."""
+    registration, T = found().registration, found().registered.T_world_cam
+    assert registration.image is not None
+    targets = registration.image.targets
+    points = se3.transform(T @ se3.exp(xi) @ se3.inverse(T), targets.points).astype(np.float32)
+    image = replace(registration.image, targets=replace(targets, points=points))
+    return replace(found(), registration=registration.beside(image))
+
+
+@pytest.mark.parametrize('axis', range(6))
+def test_how_far_landmarks_are_apart_from_depth_is_told(axis: int) -> None:
+    """As a share of what makes a pose degenerate, of depth's bias, and of what is claimed.
+
+    To the side, where depth holds the pose least, the predicted motion takes a part of it.
+    """
+    config = tracker().config
+    limit = (config.registration.degenerate_m, config.registration.degenerate_rad)[axis // 3]
+    seen = [weighed(landmarks_moved(sign * 1.5 * limit * np.eye(6)[axis])) for sign in (1.0, -1.0)]
+    assert np.mean([e.apart for e in seen]) == pytest.approx(1.5, abs=0.25)
+    there = landmarks_moved(1.5 * limit * np.eye(6)[axis])
+    doubted = weighed(there, uncertain=3.0 * limit**2)  # the poses are as uncertain as that
+    assert doubted.apart < 0.6 * seen[0].apart
+    biased = replace(config, sensor=replace(config.sensor, depth_bias=0.02))
+    if axis < 3:
+        assert weighed(there, config=biased).apart < 0.7 * seen[0].apart
+    else:
+        assert weighed(there, config=biased).apart == pytest.approx(seen[0].apart)
+
+
+def test_landmarks_that_draw_the_pose_away_from_depth_contradict_it() -> None:
+    """Colour that is not of the depth camera moves otherwise; the pose and the motion follow it.
+
+    Nothing else speaks against that.
+    """
+    made = tracker()
+    T = made.T_world_cam
+    away = T @ se3.exp(np.array([0, 0, 0, 0, 0.06, 0])) @ se3.inverse(T)
+    memory = made._memory.moved(np.repeat(away[None], made.keyframes, axis=0), away)
+    drawn = weighed(
+        estimate(frames()[SEEN], memory, made.gaussians, made.camera, made.config), memory
+    )
+    assert drawn.consistent > 0.9 and drawn.contradicts
+    assert not replace(drawn, apart=0.0).contradicts
+
+
+def test_without_landmarks_none_are_apart_from_depth() -> None:
+    alone = replace(found(), registration=replace(found().registration, image=None))
+    assert weighed(alone).apart == 0.0
 
 
 def test_without_depth_only_the_motion_and_the_landmarks_speak() -> None:

@@ -58,15 +58,20 @@ class Hosts:
         bounds = theirs[worst] + np.linalg.inv(together)
         return np.asarray(bounds[np.argmin(np.trace(bounds, axis1=1, axis2=2))])
 
-    def within_reach(self, theirs: NDArray[np.float64], reach_m: float) -> Hosts:
-        """Return those that are known to within a distance relative to the newest one.
+    def within_reach(
+        self, theirs: NDArray[np.float64], last: NDArray[np.float64], reach_m: float
+    ) -> Hosts:
+        """Return those that are known to within a distance relative to the last keyframe.
 
-        `theirs` (H, 6, 6) are the covariances in the world, camera frame. Where a camera comes
-        back to an old part of the map and may be beside it by more than the association reaches,
-        what matches there is chance. The newest host gets that part.
+        `theirs` (H, 6, 6) and that of the `last` one are covariances in the world, camera frame.
+        Where a camera comes back to an old part of the map and may be beside it by more than the
+        association reaches, what matches there is chance; and so is what still matches the part
+        that it was found away from. The newest of those that are left gets that share.
         """
-        apart = (theirs[-1:] - theirs)[:, :3, :3]
-        known = np.linalg.eigvalsh(apart)[:, -1] < reach_m**2
+        apart = np.abs(np.linalg.eigvalsh((last - theirs)[:, :3, :3])).max(axis=1)
+        known = apart < reach_m**2
+        if not known.any():
+            return self
         information = self.information[known]
         information[-1] += self.information[~known].sum(axis=0)
         return Hosts(self.keyframes[known], information)

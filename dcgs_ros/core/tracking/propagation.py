@@ -191,9 +191,11 @@ class KeyframeChain:
         hosts: Hosts,
     ) -> NDArray[np.float64]:
         """Return the covariance (6, 6) in the world of a frame that its hosts hold."""
-        return hosts.inherited(self.seen_from(T_world_cam, hosts))
+        return hosts.inherited(self.seen_from(T_world_cam, hosts.keyframes))
 
-    def seen_from(self, T_world_cam: NDArray[np.float64], hosts: Hosts) -> NDArray[np.float64]:
-        """Return the covariances (H, 6, 6) of hosts' poses, in the frame of a camera (4, 4)."""
+    def seen_from(
+        self, T_world_cam: NDArray[np.float64], keyframes: NDArray[np.integer]
+    ) -> NDArray[np.float64]:
+        """Return the covariances (H, 6, 6) of keyframes, in the frame of a camera (4, 4)."""
         Ad = se3.adjoint(se3.inverse(T_world_cam))
-        return np.asarray(Ad @ self._covariances[hosts.keyframes] @ Ad.T)
+        return np.asarray(Ad @ self._covariances[keyframes] @ Ad.T)

@@ -559,8 +559,9 @@ class Tracker:
             )
             self._usual = self._usual.with_keyframe(agreement)
         odometry = self._visited.odometry(
-            T, claim.submap, claim.covariance, claim.hosts, config.registration.guess_radius_m
-        )
+            T, claim.submap, claim.covariance, claim.hosts, self._host,
+            config.registration.guess_radius_m,
+        )  # fmt: skip
         keyframe = self._host = odometry.keyframe
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor, keyframe)
         cloud = candidates(registered, last, self.camera, config)

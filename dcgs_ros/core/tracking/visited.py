@@ -85,11 +85,17 @@ class Visited:
         submap: int,
         covariance: NDArray[np.float64],
         hosts: Hosts,
+        last: int,
         reach_m: float,
     ) -> Odometry:
-        """Return the next keyframe relative to its hosts, see `Hosts.within_reach`."""
+        """Return the next keyframe relative to its hosts; the `last` one is that before it.
+
+        See `Hosts.within_reach`.
+        """
         if len(hosts.keyframes) > 1:
-            hosts = hosts.within_reach(self._chain.seen_from(T_world_cam, hosts), reach_m)
+            theirs = self._chain.seen_from(T_world_cam, hosts.keyframes)
+            before = self._chain.seen_from(T_world_cam, np.array([last]))
+            hosts = hosts.within_reach(theirs, before, reach_m)
         T_host_cam = [se3.inverse(self.poses[k]) @ T_world_cam for k in hosts.keyframes]
         return Odometry(
             len(self), submap, hosts.keyframes, np.reshape(T_host_cam, (-1, 4, 4)),

@@ -233,7 +233,7 @@ def visited_of(submaps: list[int]) -> Visited:
     for k, submap in enumerate(submaps):
         T = se3.exp(np.array([0.1 * k, 0, 0, 0, 0, 0]))
         T[:3, 3] += origin(submap)
-        odometry = visited.odometry(T, submap, np.eye(6), Hosts.none(), 1.0)
+        odometry = visited.odometry(T, submap, np.eye(6), Hosts.none(), 0, 1.0)
         visited.add(k, T, odometry, 1e-4 * np.eye(6))
     return visited
 
@@ -242,11 +242,11 @@ def test_a_keyframe_knows_where_it_is_relative_to_its_hosts() -> None:
     visited = visited_of([0, 0, 0])
     T = se3.exp(np.array([0.4, 0.1, 0, 0, 0.2, 0]))
     hosts = Hosts(np.array([0, 2], np.int32), np.array([[[0.75]], [[0.25]]]) * np.eye(6))
-    found = visited.odometry(T, 0, np.eye(6), hosts, 1.0)
+    found = visited.odometry(T, 0, np.eye(6), hosts, 2, 1.0)
     assert found.keyframe == 3 and found.hosts.tolist() == [0, 2]
     np.testing.assert_array_equal(found.information, hosts.information)
     np.testing.assert_allclose(visited.poses[2] @ found.T_host_cam[1], T, atol=1e-12)
-    alone = visited.odometry(T, 0, np.eye(6), Hosts.none(), 1.0)
+    alone = visited.odometry(T, 0, np.eye(6), Hosts.none(), 0, 1.0)
     assert alone.T_host_cam.shape == (0, 4, 4) and not len(alone.hosts)
 
 

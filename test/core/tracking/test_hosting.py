@@ -115,11 +115,19 @@ def test_of_many_hosts_those_that_hold_most_are_kept() -> None:
     np.testing.assert_allclose(hosts.information.sum(axis=0), whole, atol=1e-4 * whole.max())
 
 
-def test_a_host_that_may_be_beside_the_newest_holds_nothing() -> None:
-    """It is matched by chance; what it seems to tell is left to the newest one."""
+def test_a_host_that_may_be_beside_the_last_keyframe_holds_nothing() -> None:
+    """It is matched by chance; what it seems to tell is left to the newest of the others."""
     hosts = Hosts(np.array([0, 7, 8], np.int32), np.tile(np.eye(6), (3, 1, 1)))
     theirs = np.array([np.zeros((6, 6)), 0.039 * np.eye(6), 0.04 * np.eye(6)])
-    kept = hosts.within_reach(theirs, 0.12)
+    kept = hosts.within_reach(theirs, theirs[2], 0.12)
     assert kept.keyframes.tolist() == [7, 8]
     np.testing.assert_array_equal(kept.information, np.array([[[1.0]], [[2.0]]]) * np.eye(6))
-    assert hosts.within_reach(theirs, 0.3).keyframes.tolist() == [0, 7, 8]
+    assert hosts.within_reach(theirs, theirs[2], 0.3).keyframes.tolist() == [0, 7, 8]
+
+
+def test_a_camera_that_was_found_in_the_old_part_is_not_held_by_where_it_had_drifted() -> None:
+    hosts = Hosts(np.array([0, 7, 8], np.int32), np.tile(np.eye(6), (3, 1, 1)))
+    theirs = np.array([np.zeros((6, 6)), 0.039 * np.eye(6), 0.04 * np.eye(6)])
+    kept = hosts.within_reach(theirs, theirs[0], 0.12)
+    assert kept.keyframes.tolist() == [0]
+    np.testing.assert_array_equal(kept.information[0], 3.0 * np.eye(6))

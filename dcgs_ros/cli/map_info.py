@@ -16,7 +16,6 @@ from .tables import Row, table
 
 MAP_SUFFIX = '.dcgs'
 _CLOCK_NS = 10**18  # of 2001: lower stamps count from an arbitrary start
-_DIGEST = {1: 'none: the file is of version 1', 2: 'ok'}  # a wrong one is an error
 
 
 def describe_map(path: Path) -> int:
@@ -30,7 +29,7 @@ def describe_map(path: Path) -> int:
     rows: list[Row] = [
         ('size', f'{1e-6 * path.stat().st_size:.1f} MB'),
         ('format', f'version {saved.version}'),
-        ('digest', _DIGEST[saved.version]),
+        ('digest', 'none: the file is of version 1' if saved.version == 1 else 'ok'),
         ('Gaussians', f'{len(saved.ids)}: {len(saved.ids) - own} of the tracker, {own} added'),
         ('tracker', f'{len(saved.tracker.ids)} Gaussians, {len(saved.tracker.poses)} keyframes'),
         ('views', f'{len(saved.keyframes)}: {keyframes} keyframes and others between them'),

@@ -176,7 +176,7 @@ def test_info_says_what_is_in_a_map(
     own = int((first.ids < 0).sum())
     box = np.ptp(first.tracker.means, axis=0)
     for text in (
-        f'{1e-6 * path.stat().st_size:.1f} MB', 'version 2', 'digest     ok',
+        f'{1e-6 * path.stat().st_size:.1f} MB', 'version 3', 'digest     ok',
         f'{len(first.ids)}: {len(first.ids) - own} of the tracker, {own} added',
         f'{len(first.tracker.ids)} Gaussians, {len(first.tracker.poses)} keyframes',
         f'{box[0]:.1f} x {box[1]:.1f} x {box[2]:.1f} m', 'sub-maps   1',

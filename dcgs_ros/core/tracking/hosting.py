@@ -20,7 +20,7 @@ from .registration import Registration
 _MOST = 6  # hosts of a pose, those that hold most
 _FEIGNED_SIGMAS = 2.0  # as in `uncertainty`: of what independent normals may add up to
 _PRIOR = np.eye(6)  # 1 / m^2, 1 / rad^2: what nothing holds goes on from the last keyframe
-_FLOOR = 1e-12 * np.eye(6)  # 1 um, 1 urad: keeps a covariance invertible
+_LEAST = 1e-12  # square of 1 um, 1 urad: keeps a covariance invertible
 VAGUE = 1e-2 * np.eye(6)  # 10 m, 10 rad: along what a few hosts do not hold
 
 
@@ -39,7 +39,7 @@ class Hosts:
     @classmethod
     def only(cls, keyframe: int, covariance: NDArray[np.float64]) -> Hosts:
         """Return one that holds all of a pose with this covariance (6, 6)."""
-        whole = np.asarray(np.linalg.inv(covariance + _FLOOR))
+        whole = np.asarray(np.linalg.inv(covariance + _LEAST * np.eye(6)))
         return cls(np.array([keyframe], np.int32), whole[None])
 
     def inherited(self, theirs: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -90,15 +90,15 @@ def hosts_of(
     C^-1. A landmark of a frame between keyframes is taken as one of the last keyframe.
     """
     keyframes, held = _held(found, rows, last)
-    root = np.linalg.cholesky(covariance + _FLOOR)
+    root = _power(covariance, 0.5)
     scales, U = np.linalg.eigh(root.T @ held.sum(axis=0) @ root)
     P = root @ U
-    half = P / np.sqrt(scales)
+    half = P / np.sqrt(np.maximum(scales, _LEAST))
     shares = half.T @ held @ half  # their sum is the identity
     best = np.sort(np.argsort(-np.trace(shares, axis1=1, axis2=2), kind='stable')[:_MOST])
     shares = shares[best]
-    whole = np.linalg.inv(np.linalg.cholesky(shares.sum(axis=0)))  # 1 where none was left out
-    back = whole.T @ np.linalg.inv(P)
+    whole = _power(shares.sum(axis=0), -0.5)  # 1 where none was left out
+    back = whole @ np.linalg.inv(P)
     return Hosts(keyframes[best], back.T @ shares @ back)
 
 
@@ -129,6 +129,12 @@ def _held(
         )  # fmt: skip
     held[np.searchsorted(keyframes, last)] += _PRIOR
     return keyframes.astype(np.int32), held
+
+
+def _power(matrix: NDArray[np.floating], exponent: float) -> NDArray[np.float64]:
+    """Return the power of a matrix (6, 6) that is symmetric and, but for rounding, positive."""
+    eigenvalues, U = np.linalg.eigh(matrix)
+    return np.asarray((U * np.maximum(eigenvalues, _LEAST) ** exponent) @ U.T)
 
 
 def _symmetric(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,14 +13,13 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.backend.back_end import BackEnd
-from dcgs_ros.core.backend.consistency import Loop
+from dcgs_ros.core.backend.closure import Loop
 from dcgs_ros.core.backend.edges import Edge, information_of, odometry_edges
 from dcgs_ros.core.backend.keyframe_graph import warm_up
 from dcgs_ros.core.backend.places import Places
@@ -39,25 +38,15 @@ _STEP_M, _LAP = 0.3, 183
 _HOSTS = 3
 _DRIFT = np.repeat([0.004, 0.003], 3)  # m and rad, a step
 _LOOP = np.diag(np.square(np.repeat([0.01, 0.006], 3)))
-_EVERY = 3
+_EVERY, _INLIERS = 3, 100
 _WILD = 0.3  # m and rad
 _CAMERA = PinholeCamera(640, 480, 600.0, 600.0, 319.5, 239.5)
-
-
-@dataclass(frozen=True)
-class MadeUp:
-    """A loop."""
-
-    a: int
-    b: int
-    T_a_b: NDArray[np.float64]
-    covariance: NDArray[np.float64]
 
 
 class Given:
     """A `LoopFinder` that is told the loops."""
 
-    def __init__(self, loops: Sequence[MadeUp]) -> None:
+    def __init__(self, loops: Sequence[Loop]) -> None:
         """Take the loops of all keyframes."""
         self.places = Places(_CAMERA, Config())
         self._loops = loops
@@ -83,20 +72,20 @@ def circle(count: int) -> NDArray[np.float64]:
 
 
 def tracked(truth: NDArray[np.float64], rng: np.random.Generator) -> list[Keyframe]:
-    """Return keyframes without images that drift from the truth (K, 4, 4)."""
+    """Return keyframes that show nothing and drift from the truth (K, 4, 4)."""
     poses = [truth[0]]
-    image = RgbdFrame(0, 0, np.zeros((1, 1, 3), np.uint8), np.ones((1, 1), np.float32))
+    image = RgbdFrame(0, 0, np.zeros((2, 2, 3), np.uint8), np.ones((2, 2), np.float32))
     none, found = np.empty((0, 3), np.float32), []
     for k in range(len(truth)):
         if k:
             error = se3.exp(_DRIFT * rng.normal(size=6))
             poses.append(poses[-1] @ se3.inverse(truth[k - 1]) @ truth[k] @ error)
-        hosts = np.arange(k - 1, max(k - 1 - _HOSTS, -1), -1)
+        hosts = np.arange(max(k - _HOSTS, 0), k, dtype=np.int32)
         T_host_cam = np.array([se3.inverse(poses[h]) @ poses[k] for h in hosts])
+        information = np.tile(np.diag(_DRIFT**-2.0) / max(len(hosts), 1), (len(hosts), 1, 1))
         odometry = Odometry(
-            k, 0, hosts.astype(np.int32), T_host_cam.reshape(-1, 4, 4),
-            np.full(len(hosts), 1.0 / max(len(hosts), 1)), np.diag(np.square(_DRIFT)),
-        )  # fmt: skip
+            k, 0, hosts, T_host_cam.reshape(-1, 4, 4), information, np.diag(np.square(_DRIFT))
+        )
         ids = np.empty(0, np.int64)
         found.append(Keyframe(image, poses[k], np.eye(4), ids, none, none, odometry))
     return found
@@ -104,23 +93,24 @@ def tracked(truth: NDArray[np.float64], rng: np.random.Generator) -> list[Keyfra
 
 def loops_of(
     truth: NDArray[np.float64], wild: int, rng: np.random.Generator
-) -> tuple[list[MadeUp], list[MadeUp]]:
+) -> tuple[list[Loop], list[Loop]]:
     """Return right and wild loops."""
     right = []
     for b in range(_LAP, len(truth), _EVERY):
         error = se3.exp(np.sqrt(np.diag(_LOOP)) * rng.normal(size=6))
-        right.append(MadeUp(b - _LAP, b, se3.inverse(truth[b - _LAP]) @ truth[b] @ error, _LOOP))
+        T = se3.inverse(truth[b - _LAP]) @ truth[b] @ error
+        right.append(Loop(b - _LAP, b, T, _LOOP, _INLIERS))
     ends = np.sort([rng.choice(len(truth), 2, replace=False) for _ in range(wild)], axis=-1)
     moved = [se3.exp(_WILD * rng.normal(size=6)) for _ in range(wild)]
-    return right, [MadeUp(int(a), int(b), T, _LOOP) for (a, b), T in zip(ends, moved, strict=True)]
+    pairs = zip(ends.tolist(), moved, strict=True)
+    return right, [Loop(a, b, T, _LOOP, _INLIERS) for (a, b), T in pairs]
 
 
-def _kept(loops: Sequence[MadeUp], among: Collection[Loop]) -> str:
-    ends = {(loop.a, loop.b) for loop in among}
+def _kept(loops: Sequence[Loop], ends: Collection[tuple[int, int]]) -> str:
     return f'{sum((loop.a, loop.b) in ends for loop in loops)} of {len(loops)}'
 
 
-def graph_s(keyframes: Sequence[Keyframe], loops: Sequence[MadeUp]) -> float:
+def graph_s(keyframes: Sequence[Keyframe], loops: Sequence[Loop]) -> float:
     """Return the seconds that a pose graph of all keyframes and loops takes."""
     edges = [edge for one in keyframes if one.odometry for edge in odometry_edges(one.odometry)]
     edges += [
@@ -147,9 +137,10 @@ def rows(count: int) -> Iterator[list[str]]:
             corrections += back_end.work() is not None
             seconds.append(time.perf_counter() - begin)
         ms = 1e3 * np.percentile(seconds, [50, 99, 100])
+        kept = {(loop.a, loop.b) for loop in back_end.loops}
         yield [
-            str(count), str(wild), _kept(right, back_end.loops), _kept(wrong, back_end.loops),
-            str(corrections), *(f'{value:.0f}' for value in ms), f'{sum(seconds):.0f}',
+            str(count), str(wild), _kept(right, kept), _kept(wrong, kept), str(corrections),
+            *(f'{value:.0f}' for value in ms), f'{sum(seconds):.0f}',
             f'{graph_s(keyframes, [*right, *wrong]):.1f}',
         ]  # fmt: skip
 

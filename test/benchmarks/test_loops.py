@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.long_walk import period_ns
 from benchmarks.loops import COLUMNS, Errors, Score, addresses
 from dcgs_ros.core import se3
+from dcgs_ros.core.backend.closure import Loop
 from dcgs_ros.core.trajectory import Trajectory
 from dcgs_ros.datasets.synthetic.options import parse_address
 
@@ -21,18 +21,10 @@ STAMPS_NS = np.array([10, 20, 30], np.int64) * 10**9
 TRUTH = Trajectory(STAMPS_NS, np.array([se3.exp(np.full(6, 0.1 * k)) for k in range(3)]))
 
 
-@dataclass(frozen=True)
-class Loop:
-    a: int
-    b: int
-    T_a_b: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-
-
 def loop(xi: NDArray[np.float64], sigma: float) -> Loop:
     """Between the first and the last keyframe, off by a twist, with an error claimed."""
     T = se3.inverse(TRUTH.T_world_cam[0]) @ TRUTH.T_world_cam[2] @ se3.exp(xi)
-    return Loop(0, 2, T, sigma**2 * np.eye(6) / 3)
+    return Loop(0, 2, T, sigma**2 * np.eye(6) / 3, inliers=100)
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_what_is_not_notable_in_the_map_is_not_told(error_m: float) -> None:
     walk, _ = two_laps(2)
     T, error = walk.tracked, se3.exp(np.repeat([error_m, 0.0], 3))
     loops = [
-        Loop(k - LAP, k, se3.inverse(T[k - LAP]) @ T[k] @ error, LOOP)
+        Loop(k - LAP, k, se3.inverse(T[k - LAP]) @ T[k] @ error, LOOP, inliers=100)
         for k in range(LAP + 2, LAP + 20, 3)
     ]
     back_end = BackEnd(CAMERA, Config(), Given(loops))

@@ -161,7 +161,7 @@ def test_the_prediction_of_one_loop_by_another_has_an_honest_covariance() -> Non
 def test_the_gap_of_a_pair_is_zero_without_noise() -> None:
     walk = round_block(LAP + 22, 0, SIZE_M)
     T = walk.truth
-    loops = [Loop(a, b, se3.inverse(T[a]) @ T[b], LOOP) for a, b in ((3, 130), (9, 140))]
+    loops = [Loop(a, b, se3.inverse(T[a]) @ T[b], LOOP, 100) for a, b in ((3, 130), (9, 140))]
     around = Surroundings.of(loops[0], T, steps(T, walk.odometry))
     np.testing.assert_allclose(around.pair(*loops).xi, 0.0, atol=1e-9)
     np.testing.assert_allclose(around.prior(loops[0]).xi, 0.0, atol=1e-9)

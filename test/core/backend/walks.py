@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.backend.closure import Loop
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe, Odometry
 
@@ -19,15 +20,6 @@ ODOMETRY = np.diag(np.square(np.repeat([0.004, 0.003], 3)))  # drifts by 1-2 % o
 LOOP = np.diag(np.square(np.repeat([0.01, 0.006], 3)))
 PERIOD_M = 2.22  # of the floor
 _HOSTS = 3
-
-
-@dataclass(frozen=True)
-class Loop:
-    a: int
-    b: int
-    T_a_b: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    inliers: int = 100
 
 
 @dataclass(frozen=True)
@@ -53,7 +45,7 @@ class Walk:
         there = self.truth[a].copy()
         there[:3, 3] += shift_m * there[:3, 2]
         T = se3.inverse(there) @ self.truth[b] @ drawn(rng, LOOP)
-        return Loop(a, b, T, LOOP)
+        return Loop(a, b, T, LOOP, inliers=100)
 
 
 def keyframe(k: int, T_world_cam: NDArray[np.float64], odometry: Odometry) -> Keyframe:

@@ -98,7 +98,5 @@ def is_likely(factor: MotionFactor, T_world_cam: NDArray[np.float64], hand: Pose
 
     Wheels that jump and rates out of range are left out before the images are asked.
     """
-    off = se3.log(se3.inverse(hand.T_world_cam) @ T_world_cam @ factor.T_before_now)
-    sigmas = np.repeat([hand.sigma_m, hand.sigma_rad], 3)
-    covariance = np.diag(sigmas**2) + factor.noise + factor.drift
-    return bool(off @ np.linalg.solve(covariance, off) < _LIKELY_SIGMAS**2)
+    sigmas = hand.sigmas_to(T_world_cam @ factor.T_before_now, factor.noise + factor.drift)
+    return sigmas < _LIKELY_SIGMAS

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .innovation import InnovationMonitor
+from .innovation import InnovationMonitor, corrected
 from .readings import UNKNOWN, AngularRate, MotionFactor, Timeline
 
 _HOLD_NS = 25_000_000  # that the last rate stands for, on either side of what was measured
@@ -177,19 +177,15 @@ class Gyro:
         noise = covariance + self.density**2 * turn.seconds * np.eye(3)
         angle = float(np.linalg.norm(turn.steps[:, 1:].sum(axis=0)))
         noise = noise + (_IMAGES_RAD**2 + (_SCALE * angle) ** 2) * np.eye(3)
-        S = H @ self._P @ H.T + noise
-        chi2 = float(innovation @ np.linalg.solve(S, innovation))
+        state, P, chi2 = corrected(self._state, self._P, H, innovation, noise)
         off_deg = math.degrees(float(np.linalg.norm(innovation)))
         what = f'{off_deg:.1f} degrees off after {turn.seconds:.1f} s'
         if not self._monitor.agrees(chi2, what):
             if self._monitor.reason is not None:
                 self._begin_filter()
             return
-        gain = np.linalg.solve(S, H @ self._P).T
-        self._state = self._state + gain @ innovation
+        self._state, self._P = state, P
         self._state[3] = min(max(self._state[3], -_MOST_DELAY_S), _MOST_DELAY_S)
-        kept = np.eye(4) - gain @ H
-        self._P = kept @ self._P @ kept.T + gain @ noise @ gain.T
 
 
 def _integrated(

@@ -1,8 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether a sensor agrees with the images, where those are sure; if not it is left out."""
+"""Whether a sensor agrees with the images, where those are sure, and what its errors then are."""
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
 
 _CONTRADICTION = 16.0  # chi2 of three numbers: one in a thousand is beyond by chance
 _GROSS = 100.0  # beyond it once is enough
@@ -35,3 +38,21 @@ class InnovationMonitor:
         if self._strikes >= _STRIKES:
             self.reason = f'contradicts the images: {what}'
         return False
+
+
+def corrected(
+    state: NDArray[np.float64],  # (N,)
+    P: NDArray[np.float64],  # (N, N)
+    H: NDArray[np.float64],  # (M, N)
+    innovation: NDArray[np.float64],  # (M,)
+    noise: NDArray[np.float64],  # (M, M)
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return a Kalman filter's state and covariance after an innovation, and its chi2.
+
+    The covariance is in Joseph's form, which rounding leaves positive.
+    """
+    S = H @ P @ H.T + noise
+    gain = np.linalg.solve(S, H @ P).T
+    kept = np.eye(len(state)) - gain @ H
+    chi2 = float(innovation @ np.linalg.solve(S, innovation))
+    return state + gain @ innovation, kept @ P @ kept.T + gain @ noise @ gain.T, chi2

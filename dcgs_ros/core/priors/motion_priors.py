@@ -90,6 +90,8 @@ class MotionPriors:
             turned = None if turn is None else gyro.factor(turn)
         if wheels is not None and wheels.reason(end_ns) is None:
             way = wheels.factor(start_ns, end_ns)
+        if turned is None and way is None and self._floor is None:
+            return None
         T, hand = motion.T_world_cam, motion.prior(end_ns)
         turned, way = (
             f if f is not None and is_likely(f, T, hand) else None for f in (turned, way)

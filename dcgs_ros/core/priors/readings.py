@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..covariances import common_axes
+
 UNKNOWN = 1e6  # m^2, rad^2: variance in directions of which a sensor says nothing
-_FLOOR = 1e-12 * np.eye(6)  # 1 um, 1 urad: keeps a covariance invertible
 _KEPT_NS = 10_000_000_000  # of the past: more than any window or bridged gap
 _FORGET = 256  # readings that may be too old before they are dropped
 
@@ -56,10 +57,7 @@ class MotionFactor:
         Drift goes on as it was, so that along each of their common principal axes its standard
         deviation adds up with the pose's, not its variance.
         """
-        root = np.linalg.cholesky(covariance + _FLOOR)
-        white = np.linalg.solve(root, np.linalg.solve(root, self.drift).T)
-        ratios, axes = np.linalg.eigh(0.5 * (white + white.T))
-        half = root @ axes
+        half, ratios = common_axes(self.drift, covariance)
         sums = np.square(1.0 + np.sqrt(np.maximum(ratios, 0.0)))
         return np.asarray((half * sums) @ half.T + self.noise)
 

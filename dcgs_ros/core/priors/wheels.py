@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .innovation import InnovationMonitor
+from .innovation import InnovationMonitor, corrected
 from .readings import UNKNOWN, BasePose, MotionFactor, Timeline
 
 _HOLD_NS = 60_000_000  # that the last pose may be old: three intervals at 50 Hz
@@ -133,8 +133,7 @@ class Wheels:
         H[:2, 0], H[2, 1] = -twist[:2], -twist[5]
         by_images = (self._Ad @ covariance @ self._Ad.T)[np.ix_(_PLANE, _PLANE)]
         noise = by_images + np.diag((_IMAGES + _FLOOR + self._slip(twist)) ** 2)
-        S = H @ self._P @ H.T + noise
-        chi2 = float(innovation @ np.linalg.solve(S, innovation))
+        scales, P, chi2 = corrected(self.scales, self._P, H, innovation, noise)
         what = (
             f'{100 * math.hypot(*innovation[:2]):.1f} cm and '
             f'{math.degrees(abs(innovation[2])):.1f} degrees off within {way:.2f} m'
@@ -143,7 +142,4 @@ class Wheels:
             if self._monitor.reason is not None:
                 self._begin_filter()
             return
-        gain = np.linalg.solve(S, H @ self._P).T
-        self.scales = self.scales + gain @ innovation
-        kept = np.eye(2) - gain @ H
-        self._P = kept @ self._P @ kept.T + gain @ noise @ gain.T
+        self.scales, self._P = scales, P

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ..kernels.jit import kernel
 from .factors import information
 from .registration import Registration
+from .uncertainty import FEIGNED_SIGMAS, sum_chance
 
 _MOST = 6  # hosts of a pose, those that hold most
-_FEIGNED_SIGMAS = 2.0  # as in `uncertainty`: of what independent normals may add up to
 _PRIOR = np.eye(6)  # 1 / m^2, 1 / rad^2: what nothing holds goes on from the last keyframe
 _LEAST = 1e-12  # square of 1 um, 1 urad: keeps a covariance invertible
 VAGUE = 1e-2 * np.eye(6)  # 10 m, 10 rad: along what a few hosts do not hold
@@ -118,8 +118,8 @@ def _held(
     _sum_crossed(rows, slots, held)
     eigenvalues, U = np.linalg.eigh(_symmetric(held))
     chance = np.zeros((len(keyframes), 6))
-    _sum_chance(rows, slots, U, chance)
-    certain = np.maximum(eigenvalues - _FEIGNED_SIGMAS * np.sqrt(chance), 0.0)
+    sum_chance(rows, slots, U, chance)
+    certain = np.maximum(eigenvalues - FEIGNED_SIGMAS * np.sqrt(chance), 0.0)
     held = (U * certain[:, None]) @ U.transpose(0, 2, 1)
     if image is not None:
         slots, t = np.searchsorted(keyframes, of_image), image.targets
@@ -149,18 +149,6 @@ def _sum_crossed(rows, slots, total):
         for a in range(6):
             for b in range(6):
                 block[a, b] += rows[i, a] * rows[i, 6 + b]
-
-
-@kernel
-def _sum_chance(rows, slots, U, total):
-    """Add the squares of (J_n u_k) (J_m u_k) to `total` (K, 6); `U` (K, 6, 6) of each slot."""
-    for i in range(rows.shape[0]):
-        for k in range(6):
-            p = q = 0.0
-            for a in range(6):
-                p += rows[i, a] * U[slots[i], a, k]
-                q += rows[i, 6 + a] * U[slots[i], a, k]
-            total[slots[i], k] += (p * q) ** 2
 
 
 @kernel

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..covariances import FLOOR, common_axes, surer
 from ..priors.readings import MotionFactor
 from .hosting import Hosts
 from .motion import ACCELERATION, ANGULAR_ACCELERATION
 
 _FRAMES = 30.0  # over which beta^2 is averaged
 _ANY = np.eye(6)  # 1 m and 1 rad, and per second: where nothing is known
-_FLOOR = 1e-12 * np.eye(6)  # 1 um, 1 urad: keeps a covariance invertible
 _ACCELERATION2 = np.diag(np.repeat([ACCELERATION**2, ANGULAR_ACCELERATION**2], 3))
 
 
@@ -93,9 +93,9 @@ class MotionLimit:
         bounded = before if np.trace(before) < 1.0 else surer(before, _ANY)
         for one in sensed:
             bounded = surer(bounded, one.added_to(Ad @ self.covariance @ Ad.T))
-        half, ratios = _common_axes(measured, bounded)
+        half, ratios = common_axes(measured, bounded)
         known = (half * np.minimum(ratios, 1.0)) @ half.T
-        gain = np.linalg.solve(before + _FLOOR, predicted[:6]).T
+        gain = np.linalg.solve(before + FLOOR, predicted[:6]).T
         joint = predicted + gain @ (known - before) @ gain.T
         joint[:6, :6] = known
         held = (half * (ratios < 1.0)) @ np.linalg.inv(half)
@@ -128,25 +128,6 @@ class MotionLimit:
         F = np.block([[Ad, dt * Ad], [np.zeros((6, 6)), Ad]])
         kick = np.vstack([0.5 * dt * dt * np.eye(6), dt * np.eye(6)])
         return np.asarray(F @ self.joint @ F.T + kick @ _ACCELERATION2 @ kick.T)
-
-
-def surer(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the smaller of two covariances (6, 6) along each of their common principal axes.
-
-    Those are the axes in which both are diagonal. The result is below both.
-    """
-    half, ratios = _common_axes(one, other)
-    return np.asarray((half * np.minimum(ratios, 1.0)) @ half.T)
-
-
-def _common_axes(
-    one: NDArray[np.float64], other: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return A (6, 6) and r (6,) with A A^T the `other` covariance and A diag(r) A^T the one."""
-    root = np.linalg.cholesky(other + _FLOOR)
-    white = np.linalg.solve(root, np.linalg.solve(root, one).T)
-    ratios, axes = np.linalg.eigh(0.5 * (white + white.T))
-    return root @ axes, ratios
 
 
 class KeyframeChain:

@@ -30,7 +30,7 @@ from .registration import Registration
 
 _COLUMNS, _ROWS = 8, 6  # cells of the image: 80 px of 640x480
 _WAVES_X, _WAVES_Y = 6, 5  # cosines: half waves across the image from 0 to these, exclusive
-_FEIGNED_SIGMAS = 2.0  # of what independent normals may add up to by chance
+FEIGNED_SIGMAS = 2.0  # of what independent normals may add up to by chance
 _PRIOR = np.eye(6)  # 1 m, 1 rad: keeps systems solvable
 _LEFT_OUT = 2.0  # factor of the variance: what the residuals of one frame do not tell
 _CORRELATED = 0.8  # share of the correlation of translation with rotation that is believed
@@ -124,10 +124,10 @@ def _unfeigned(
     """
     crossed = 0.5 * (cross + cross.T)
     eigenvalues, U = np.linalg.eigh(crossed + H_image)
-    chance = np.zeros(6)
-    _sum_squares(rows, U, chance)
+    chance = np.zeros((1, 6))
+    sum_chance(rows, np.zeros(len(rows), np.int64), U[None], chance)
     by_image = np.einsum('ak,ab,bk->k', U, H_image, U)
-    certain = np.maximum(eigenvalues - by_image - _FEIGNED_SIGMAS * np.sqrt(chance), 0.0)
+    certain = np.maximum(eigenvalues - by_image - FEIGNED_SIGMAS * np.sqrt(chance[0]), 0.0)
     return np.asarray((U * certain) @ U.T)
 
 
@@ -242,15 +242,19 @@ def _sum_depth(
 
 
 @kernel
-def _sum_squares(rows, U, total):
-    """Add the squares of (J_n u_k) (J_m u_k) to `total` (6,), of `rows` (N, 12) and `U` (6, 6)."""
+def sum_chance(rows, slots, U, total):
+    """Add the squares of (J_n u_k) (J_m u_k) to `total` (K, 6), `U` (K, 6, 6) of each slot.
+
+    `rows` (N, 12) are those of `PoseUncertainty`, each of one of the `slots` (N,).
+    """
     for i in range(rows.shape[0]):
+        slot = slots[i]
         for k in range(6):
             p = q = 0.0
             for a in range(6):
-                p += rows[i, a] * U[a, k]
-                q += rows[i, 6 + a] * U[a, k]
-            total[k] += (p * q) ** 2
+                p += rows[i, a] * U[slot, a, k]
+                q += rows[i, 6 + a] * U[slot, a, k]
+            total[slot, k] += (p * q) ** 2
 
 
 @kernel

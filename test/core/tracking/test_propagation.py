@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.covariances import surer
 from dcgs_ros.core.tracking.hosting import Hosts
-from dcgs_ros.core.tracking.propagation import BiasVariance, KeyframeChain, MotionLimit, surer
+from dcgs_ros.core.tracking.propagation import BiasVariance, KeyframeChain, MotionLimit
 
 FRAME_NS = 33_333_333
 MILLIMETRE2 = np.diag([1e-6] * 6)

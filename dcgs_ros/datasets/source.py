@@ -106,16 +106,26 @@ class Source(Protocol):
 
 @runtime_checkable
 class RobotSource(Source, Protocol):
-    """A sequence of a robot: it is known where its sensors are, and its wheels were recorded."""
+    """A sequence of a robot: it may tell where its sensors are, and what its wheels measured."""
 
     @property
-    def T_cam_imu(self) -> NDArray[np.float64]:
-        """(4, 4) IMU to colour camera."""
+    def T_cam_imu(self) -> NDArray[np.float64] | None:
+        """(4, 4) IMU to colour camera; None: not known."""
+        ...
+
+    @property
+    def imu_frames(self) -> Sequence[str]:
+        """Frames of the samples of that IMU; others may be of other IMUs."""
         ...
 
     @property
     def T_base_cam(self) -> NDArray[np.float64] | None:
-        """(4, 4) colour camera to base; None: it is not fixed to one."""
+        """(4, 4) colour camera to base; None: not known, or it is not fixed to one."""
+        ...
+
+    @property
+    def base_frame(self) -> str:
+        """Frame of the base; empty where there is none."""
         ...
 
     def odometry(self) -> Iterator[OdometrySample]:

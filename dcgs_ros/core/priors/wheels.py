@@ -40,6 +40,7 @@ class Wheels:
         self._Ad_cam_base = se3.adjoint(self._T_cam_base)
         self._poses = Timeline()
         self._monitor = InnovationMonitor()
+        self._published = np.zeros(3)  # variance (3,) a second that the publisher claims
         self._begin_filter()
 
     def _begin_filter(self) -> None:
@@ -48,17 +49,18 @@ class Wheels:
 
     def reason(self, now_ns: int) -> str | None:
         """Return why the wheels cannot be used at a stamp; None: they can."""
-        last_ns = self._poses.last_ns
-        if last_ns is None:
-            return 'no pose yet'
-        if now_ns - last_ns > _HOLD_NS:
-            return f'no pose for {(now_ns - last_ns) * 1e-9:.2f} s'
-        return self._monitor.reason
+        return self._poses.lacks(now_ns, _HOLD_NS, 'pose') or self._monitor.reason
 
     def sense(self, reading: BasePose) -> None:
         """Take a pose; stamps ascend."""
-        if np.isfinite(reading.T_odom_base).all():
-            self._poses.add(reading.stamp_ns, reading.T_odom_base)
+        if not np.isfinite(reading.T_odom_base).all():
+            return
+        before_ns = self._poses.last_ns
+        self._poses.add(reading.stamp_ns, reading.T_odom_base)
+        if reading.variance is not None and before_ns is not None:
+            interval_ns = reading.stamp_ns - before_ns
+            if 0 < interval_ns < _GAP_NS:
+                self._published = reading.variance * interval_ns * 1e-9
 
     def pose(self, stamp_ns: int) -> NDArray[np.float64] | None:
         """Return T_odom_base (4, 4), interpolated along the twist; None: not measured."""
@@ -103,7 +105,7 @@ class Wheels:
         twist = self._corrected(measured)
         scales = np.sqrt(np.diag(self._P))[[0, 0, 1]]
         noise, drift = np.full(6, UNKNOWN), np.zeros(6)  # variances, in the base's frame
-        noise[_PLANE] = _FLOOR**2
+        noise[_PLANE] = np.maximum(_FLOOR**2, self._published * (end_ns - start_ns) * 1e-9)
         drift[_PLANE] = (self._slip(twist) + np.abs(twist[_PLANE]) * scales) ** 2
         T, Ad = self._T_cam_base @ se3.exp(twist) @ self._T_base_cam, self._Ad_cam_base
         return MotionFactor(T, (Ad * noise) @ Ad.T, (Ad * drift) @ Ad.T)

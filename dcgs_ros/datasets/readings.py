@@ -25,7 +25,7 @@ def priors_of(source: Source, config: PriorsConfig) -> MotionPriors:
     Raises `PriorsError` where the sequence lacks a sensor that the configuration asks for.
     """
     priors = MotionPriors(config)
-    if isinstance(source, RobotSource):
+    if priors.unmounted and isinstance(source, RobotSource):
         T = source.T_cam_imu
         priors.mount(None if T is None else T[:3, :3], source.T_base_cam)
     if priors.unmounted:

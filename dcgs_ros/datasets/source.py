@@ -49,10 +49,10 @@ class ImuSample:
 
 @dataclass(frozen=True)
 class OdometrySample:
-    """What the wheels say: where the base has come since the first sample, and how it moves."""
+    """What the wheels say: where the base has come, and how it moves."""
 
     stamp_ns: int
-    frame: str  # of the pose: the base's at the first sample
+    frame: str  # of the pose: that of the base somewhere, as where the wheels began
     base_frame: str  # x forward, y left, z up, on the ground
     pose: tuple[float, float, float]  # x, y, metres, and heading, radians
     velocity: tuple[float, float, float]  # of the base: forward, left, m/s, turning left, rad/s

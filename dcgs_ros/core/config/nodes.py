@@ -226,5 +226,7 @@ class ReplaySettings(Stage):
         'camera_color_optical_frame', 'Frame of the images, z forward, x right.'
     )
     base_frame: str = described(
-        'camera_link', 'Frame that the camera is fixed to, x forward, z up; broadcast to TF once.'
+        'camera_link',
+        'Frame that the camera is fixed to, x forward, z up; broadcast to TF once, with those of '
+        'the sensors beside it, unless a bag tells what is.',
     )

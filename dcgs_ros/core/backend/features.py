@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..camera import PinholeCamera
 from ..frame import RgbdFrame
 from ..sensor import SensorNoise
+from ..tracking.back_projection import back_projected, depth_at, in_range
 from ..tracking.estimator import to_grey
-from ..tracking.landmarks import back_projected, depth_at, in_range
 
 _CANDIDATES = 3000  # corners of an image from which the features are chosen
 _FAST = 8  # grey levels: ORB's default of 20 finds nothing in dim light

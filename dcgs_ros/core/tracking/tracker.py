@@ -552,18 +552,17 @@ class Tracker:
         """
         config, frame, T = self._config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
-        T_world_depth = T @ registered.T_cam_cam_at_depth
-        if last is not None:  # else there is no map yet to agree with
-            agreement = self.gaussians.agreement(
-                T_world_depth, frame.depth_m, self.camera, config.sensor
-            )
-            self._usual = self._usual.with_keyframe(agreement)
         odometry = self._visited.odometry(
             T, claim.submap, claim.covariance, claim.hosts, self._host,
             config.registration.guess_radius_m,
         )  # fmt: skip
         keyframe = self._host = odometry.keyframe
-        self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor, keyframe)
+        T_world_depth = T @ registered.T_cam_cam_at_depth
+        agreement = self.gaussians.refresh(
+            T_world_depth, frame.depth_m, self.camera, config.sensor, keyframe
+        )
+        if last is not None:  # else there is no map yet to agree with
+            self._usual = self._usual.with_keyframe(agreement)
         cloud = candidates(registered, last, self.camera, config)
         ids = spawn(
             cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, keyframe,

@@ -36,7 +36,7 @@ from .result import Reference, TrackingState, TrackResult
 from .search import Known, Search
 from .standstill import Standstill
 from .uncertainty import PoseUncertainty
-from .verification import Evidence, Usual, is_repetition, weigh
+from .verification import Evidence, Usual, is_repetition, repeats_depth, weigh
 from .visited import UNKNOWN, Visited, origin
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
@@ -109,7 +109,8 @@ class Tracker:
         self._check(frame)
         self._stamp_ns = frame.stamp_ns
         repeated = self._received is not None and is_repetition(frame, self._received)
-        self._received, frame = frame, self.corrected(frame)
+        self._received = self._with_depths_instant(frame)
+        frame = self.corrected(self._received)
         if not self._begun:
             return self._begin(frame)
         sensed = self.priors.since(self._memory.motion, frame.stamp_ns)
@@ -322,6 +323,18 @@ class Tracker:
             self.camera, self._memory.motion, self._visited, self._usual, self.recogniser
         )
         return self._search
+
+    def _with_depths_instant(self, frame: RgbdFrame) -> RgbdFrame:
+        """Return the frame with the stamp of the last one's depth, where the image is that one.
+
+        Taken for new it would say that a camera that goes on stands still.
+        """
+        last = self._received
+        if last is None or not repeats_depth(frame, last):
+            return frame
+        if frame.stamp_ns - last.depth_stamp_ns > _MAX_LAG_S * 1e9:
+            return frame
+        return replace(frame, depth_stamp_ns=last.depth_stamp_ns)
 
     def _check(self, frame: RgbdFrame) -> None:
         height, width = frame.depth_m.shape

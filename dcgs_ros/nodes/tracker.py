@@ -201,7 +201,7 @@ class TrackerNode(Node):
                 self._warn(missed)
             verdict = judge(
                 news, session.result, session.searching, ever_tracked=session.ever_tracked,
-                refusal=session.refusal, mounting=self._outputs.mounting.doubt,
+                refusal=session.refusal, doubt=self._outputs.doubt,
             )  # fmt: skip
         values = {
             'ms': session.ms, **self._camera.figures(), **session.counts,

@@ -66,12 +66,12 @@ def judge(
     *,
     ever_tracked: bool = True,
     refusal: str = '',
-    mounting: str | None = None,
+    doubt: str | None = None,
 ) -> Verdict:
     """Return how tracking goes, and what to check where it does not.
 
-    `refusal` says why the last frame was refused, `mounting` what is not known of where the camera
-    is on the base.
+    `refusal` says why the last frame was refused, `doubt` what is not known of the frames, such as
+    where the camera is on the base.
     """
     alone = not streams.pairs and streams.color + streams.depth > _FEW
     if streams.silent_s > _SILENT_S or alone or result is None:
@@ -79,8 +79,8 @@ def judge(
         if missing is not None:
             return missing
     if result is None:
-        text = mounting or f'images come, but none could be used: {refusal or "see the log"}'
-        return Verdict(Level.WARN if mounting else Level.ERROR, text, logged=True)
+        text = doubt or f'images come, but none could be used: {refusal or "see the log"}'
+        return Verdict(Level.WARN if doubt else Level.ERROR, text, logged=True)
     if result.state is TrackingState.LOST:
         return _lost(searching, ever_tracked)
     if result.state is TrackingState.RELOCALISED:
@@ -98,8 +98,8 @@ def judge(
     if streams.dropped > _DROPPING * max(streams.pairs, 1):
         text = f'{streams.dropped} of {streams.pairs} pairs dropped: too slow for this camera'
         return Verdict(Level.WARN, f'{text}; lower its rate or resolution')
-    if mounting:
-        return Verdict(Level.WARN, f'tracking, but {mounting}', logged=True)
+    if doubt:
+        return Verdict(Level.WARN, f'tracking, but {doubt}', logged=True)
     return Verdict(Level.OK, 'tracking')
 
 

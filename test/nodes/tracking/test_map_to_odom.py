@@ -101,13 +101,17 @@ def test_the_stamps_of_a_recording_go_on_in_its_own_clock() -> None:
 
 
 def test_a_recording_that_begins_again_is_followed() -> None:
+    """Whose end waits for odometry that will not come."""
     robot, long_ago = Robot(), NOW - 20 * SECOND
-    robot.wheels.newest_ns = NOW + SECOND
+    robot.wheels.newest_ns = NOW + ODOMETRY
     robot.see(NOW, NOW)
     assert robot.placer.at(NOW, TOLERANCE) is not None
+    robot.see(NOW + SECOND, NOW + SECOND)
+    robot.placer.correct(np.stack([M]))
     robot.see(long_ago, NOW + SECOND)
     found = robot.placer.at(NOW + SECOND, TOLERANCE)
     assert found is not None and found.stamp_ns == long_ago + TOLERANCE
+    np.testing.assert_allclose(found.T_map_odom, T_MAP_ODOM, atol=1e-4)
 
 
 def test_nothing_is_said_before_it_is_known_nor_of_another_map() -> None:

@@ -202,6 +202,16 @@ def test_perfect_wheels_that_turn_leave_the_map_where_it_was(robot: Robot) -> No
 
 
 @pytest.mark.parametrize('robot', ['map_to_odom'], indirect=True)
+def test_a_correction_moves_odom_in_the_map_without_a_frame(robot: Robot) -> None:
+    robot.publish(TO_BASE.T_base_cam)
+    robot.outputs.correct(corrected_by(M), EPOCH_NUMBER)
+    robot.tf.sent.clear()
+    time.sleep(0.002)
+    robot.outputs._send_map_to_odom()
+    same(robot.sent('map', 'odom'), M @ se3.inverse(ROBOT))
+
+
+@pytest.mark.parametrize('robot', ['map_to_odom'], indirect=True)
 def test_map_to_odom_is_kept_alive_by_a_timer(robot: Robot) -> None:
     robot.publish(TO_BASE.T_base_cam)
     (timer,) = robot.node.timers

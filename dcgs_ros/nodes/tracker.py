@@ -29,6 +29,7 @@ from .reporter import Reporter
 from .services import answered, offer, refused
 from .tracking.back_end import make_loops, warm_up_loops
 from .tracking.camera_subscriber import CameraSubscriber
+from .tracking.frame_info import FrameInfo
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
 from .tracking.initial_pose import InitialPose
@@ -80,6 +81,7 @@ class TrackerNode(Node):
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
         self._sender = KeyframeSender(publisher, memory_mb, self._session.alive)
+        self._frame_info = FrameInfo(self)
         self._initial_pose = InitialPose(self, node_settings.map_frame, self._warn)
         self._mapper = MapperSubscriber(
             self, self._on_answer, self._sender.acknowledge, self._warn
@@ -187,6 +189,7 @@ class TrackerNode(Node):
         result = session.track(frame, camera)
         if result is None:
             return
+        self._frame_info.publish(result, session.ms, session.priors(result.stamp_ns))
         if session.epoch != epoch:
             self._sender.forget()
         if result.state is not TrackingState.LOST:

@@ -60,6 +60,10 @@ class Robot:
     def __init__(self, node: Any, tf: Tf) -> None:
         self.node, self.tf, self.sent = node, tf, list[Any]()
         node._outputs._odometry = SimpleNamespace(publish=self.sent.append)
+        self.infos = list[Any]()
+        node._frame_info._publisher = SimpleNamespace(
+            publish=self.infos.append, get_subscription_count=lambda: 1
+        )
         node._ready = True
 
     def track(self, shot: Shot) -> None:
@@ -179,6 +183,8 @@ def test_odom_waits_where_it_was_for_a_camera_that_is_lost(robot: Callable[..., 
         )
         one.track(halved(dark, SOURCE.camera))
     assert len(one.sent) == 3 and odom._broken
+    said = [info.status[0].message for info in one.infos]
+    assert said == ['ok'] * 3 + ['lost'] * 3
     for shot in shots()[6:]:
         one.track(shot)
     assert len(one.sent) > 3

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -169,6 +170,8 @@ def numbers(result: TrackResult) -> dict[str, Any]:
         'points': result.points,
         'landmarks': result.landmarks,
         'submap': result.submap,
+        'sigma_m': _largest_sigma(result.covariance[:3, :3]),
+        'sigma_deg': math.degrees(_largest_sigma(result.covariance[3:, 3:])),
         'colour_depth_offset_ms': float(result.colour_depth_offset_ms),
     }
     if result.observability is not None:
@@ -176,3 +179,8 @@ def numbers(result: TrackResult) -> dict[str, Any]:
         shown['kappa_without_radius'] = float(result.observability.kappa_without_radius)
         shown['weakest'] = weakest_axis(result.observability.weakest)
     return shown
+
+
+def _largest_sigma(covariance: NDArray[np.floating]) -> float:
+    """Return the standard deviation along the direction that is the least certain."""
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))

@@ -29,8 +29,10 @@ from .reporter import Reporter
 from .services import answered, offer, refused
 from .tracking.back_end import make_loops, warm_up_loops
 from .tracking.camera_subscriber import CameraSubscriber
+from .tracking.frame_info import FrameInfo
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
+from .tracking.initial_pose import InitialPose
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
 from .tracking.known_map import KnownMap, preferred, save
@@ -79,6 +81,8 @@ class TrackerNode(Node):
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
         self._sender = KeyframeSender(publisher, memory_mb, self._session.alive)
+        self._frame_info = FrameInfo(self)
+        self._initial_pose = InitialPose(self, node_settings.map_frame, self._warn)
         self._mapper = MapperSubscriber(
             self, self._on_answer, self._sender.acknowledge, self._warn
         )
@@ -179,9 +183,13 @@ class TrackerNode(Node):
         if to_base.T_base_cam is not session.T_world_first:
             self._outputs.remount(session.T_world_first, to_base.T_base_cam)
             session.remount(to_base.T_base_cam, frame)
+        place = self._initial_pose.take(to_base)
+        if place is not None:
+            session.expect(place)
         result = session.track(frame, camera)
         if result is None:
             return
+        self._frame_info.publish(result, session.ms, session.priors(result.stamp_ns))
         if session.epoch != epoch:
             self._sender.forget()
         if result.state is not TrackingState.LOST:
@@ -201,7 +209,7 @@ class TrackerNode(Node):
                 self._warn(missed)
             verdict = judge(
                 news, session.result, session.searching, ever_tracked=session.ever_tracked,
-                refusal=session.refusal, mounting=self._outputs.mounting.doubt,
+                refusal=session.refusal, doubt=self._outputs.doubt,
             )  # fmt: skip
         values = {
             'ms': session.ms, **self._camera.figures(), **session.counts,

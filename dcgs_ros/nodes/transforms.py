@@ -28,8 +28,11 @@ class Transforms(Protocol):
         """Broadcast a transform that always holds."""
         ...
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Return the latest T_parent_child (4, 4), metres; None where TF does not know it."""
+    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
+        """Return T_parent_child (4, 4), metres, at a stamp; 0: the latest.
+
+        It is interpolated, not extrapolated: None where TF does not know it, or not yet.
+        """
         ...
 
 
@@ -48,7 +51,7 @@ class NoTransforms:
     def send_static(self, transform: TransformStamped) -> None:
         """Do nothing."""
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
         """Return None."""
         return None
 
@@ -76,10 +79,10 @@ class Tf2Transforms:
         """Broadcast on /tf_static, which late subscribers get too."""
         self._static_broadcaster.sendTransform(transform)
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Return the latest transform, without waiting."""
+    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
+        """Return the transform, without waiting."""
         try:
-            found = self._buffer.lookup_transform(parent, child, Time())
+            found = self._buffer.lookup_transform(parent, child, Time(nanoseconds=stamp_ns))
         except self._unknown:
             return None
         t, q = found.transform.translation, found.transform.rotation

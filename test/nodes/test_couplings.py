@@ -243,10 +243,13 @@ def keyframe_in(camera_frame: str, stamp_ns: int, world: str = 'odom') -> dict[s
 
 
 def test_the_map_is_in_the_frame_of_the_keyframes(make: Make) -> None:
-    """Which is `map` for a tracker that broadcasts map -> odom."""
-    node, clouds = make(MapperNode), list[Any]()
+    """Before there is one, as of a map file, in that of the setting."""
+    node, clouds = make(MapperNode, '-p', 'node.map_frame:=floor_1'), list[Any]()
     for name in ('_map', '_updates', '_received', '_answers'):
         setattr(node._outputs, name, SimpleNamespace(publish=clouds.append))
+    node._outputs.keyframes(node._session.mapper)
+    assert [cloud.header.frame_id for cloud in clouds] == ['floor_1']
+    clouds.clear()
     node._insert(keyframe_in('optical', 1, 'map'))
     node._outputs.update(node._session.mapper)
     assert len(clouds) == 4 and {cloud.header.frame_id for cloud in clouds} == {'map'}

@@ -50,13 +50,12 @@ class StaticBroadcaster(Broadcaster):
 
 class Buffer:
     def __init__(self) -> None:
-        self.known: dict[tuple[str, str], TransformStamped] = {}
+        self.known: dict[tuple[str, str, int], TransformStamped] = {}
 
     def lookup_transform(self, target: str, source: str, when: Any) -> TransformStamped:
-        assert when.nanoseconds == 0  # the latest there is
-        if (target, source) not in self.known:
+        if (target, source, when.nanoseconds) not in self.known:
             raise UnknownFrameError
-        return self.known[target, source]
+        return self.known[target, source, when.nanoseconds]
 
 
 @pytest.fixture
@@ -107,14 +106,16 @@ def test_where_there_is_tf2_ros_it_is_used(tf2: None) -> None:
     assert node.warnings == []
 
 
-def test_lookup_maps_the_child_to_its_parent(tf2: None) -> None:
+@pytest.mark.parametrize('stamp_ns', [0, 12_345_678_901])
+def test_lookup_maps_the_child_to_its_parent_at_that_instant(tf2: None, stamp_ns: int) -> None:
+    """Of 0, which is the latest."""
     node: Any = Log()
     transforms = make_transforms(node)
-    assert transforms.lookup('base', 'camera') is None
+    assert transforms.lookup('base', 'camera', stamp_ns) is None
     T_base_cam = np.eye(4)
     T_base_cam[:3, :3] = Rotation.from_rotvec([0.3, -1.2, 0.7]).as_matrix()
     T_base_cam[:3, 3] = 0.1, -0.2, 0.5
-    node.buffer.known['base', 'camera'] = transform('base', 'camera', T_base_cam)
-    found = transforms.lookup('base', 'camera')
+    node.buffer.known['base', 'camera', stamp_ns] = transform('base', 'camera', T_base_cam)
+    found = transforms.lookup('base', 'camera', stamp_ns)
     assert found is not None
     np.testing.assert_allclose(found, T_base_cam, atol=EXACT)

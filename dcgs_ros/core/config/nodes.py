@@ -17,10 +17,13 @@ from .stages import Config
 class TrackerNodeSettings(Stage):
     """The tracker's node: frames, topics, memory and files."""
 
+    map_frame: str = described(
+        'map', 'Frame of the map, in which the base is right, but steps at corrections.'
+    )
     odom_frame: str = described(
         'odom',
         'Frame in which the base moves without steps; it drifts. It begins where the map has its '
-        'origin, which is in the frame map.',
+        'origin.',
     )
     base_frame: str = described(
         'camera_link', 'Frame of the robot, or of the camera itself, whose pose is published.'
@@ -30,6 +33,19 @@ class TrackerNodeSettings(Stage):
         'Transforms to broadcast: odom_to_base (odom_frame to base_frame, map to odom_frame) if '
         'no other node does; map_to_odom (map to odom_frame only) if another node, such as wheel '
         'odometry, broadcasts odom_frame to base_frame; none.',
+    )
+    tf_delay_s: float = ranged(
+        0.05,
+        0.005,
+        10,
+        'With tf map_to_odom: interval at which map to odom_frame is broadcast, lost or not, '
+        'seconds.',
+    )
+    tf_tolerance_s: float = ranged(
+        0.1,
+        0,
+        10,
+        'With tf map_to_odom: how far into the future that transform is dated, seconds.',
     )
     base_to_camera: str = described(
         'auto',
@@ -123,7 +139,7 @@ class TrackerSettings(Config):
 class MapperNodeSettings(Stage):
     """The mapper's node: frames, rates and files."""
 
-    odom_frame: str = described('odom', "Frame that the map is in until a keyframe's pose tells.")
+    map_frame: str = described('map', "Frame that the map is in until a keyframe's pose tells.")
     map_rate_hz: float = ranged(
         0.1,
         0,

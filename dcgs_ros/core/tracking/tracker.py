@@ -24,6 +24,7 @@ from .claims import Claim, Clocks, PoseClaims
 from .corners import spread
 from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, to_grey
+from .expectation import ExpectedPlace
 from .gaussian_map import GaussianMap
 from .hosting import Hosts, hosts_of
 from .keyframes import KeyframePolicy, candidates, spawn
@@ -248,6 +249,19 @@ class Tracker:
             self._memory = self._forgotten(ConstantVelocity.at_rest(self.T_world_cam))
             self._lose()
 
+    def expect(self, place: ExpectedPlace) -> bool:
+        """Look for the camera where somebody says that it is, before anywhere else.
+
+        It is taken to be there only if it could be found there without. Return whether it is
+        looked for: not where it is tracked within the place already, nor before there is a map.
+        """
+        tracked_there = self._search is None and place.admits(self.T_world_cam)
+        if not self._begun or tracked_there:
+            return False
+        self.interrupt()
+        self._lose(place)
+        return True
+
     def reconfigure(self, config: Config) -> None:
         """Go on with other settings; sensor, ablation, threads and timing stay as they were."""
         kept = {
@@ -313,15 +327,16 @@ class Tracker:
         """Landmarks alive, where they are in the last image and in the world."""
         return self._memory.landmarks
 
-    def _lose(self) -> Search:
+    def _lose(self, expected: ExpectedPlace | None = None) -> Search:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
         self._first = self._trial = None
         self._agreed = 0
         self._memory = replace(self._forgotten(self._memory.motion), sensed=self._memory.sensed)
         self.priors.forget()
         self._search = Search(
-            self.camera, self._memory.motion, self._visited, self._usual, self.recogniser
-        )
+            self.camera, self._memory.motion, self._visited, self._usual, self.recogniser,
+            expected,
+        )  # fmt: skip
         return self._search
 
     def _with_depths_instant(self, frame: RgbdFrame) -> RgbdFrame:

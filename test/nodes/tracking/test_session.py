@@ -28,6 +28,7 @@ from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
+from dcgs_ros.core.tracking.expectation import ExpectedPlace
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of
@@ -365,6 +366,36 @@ def test_a_tracker_that_starts_again_goes_on_in_the_same_map() -> None:
     assert after.ids and min(id for _, id in after.ids) > highest
     assert not set(after.stamps) & set(stamps)  # the mapper has keyframes with these stamps
     after.assert_keyframes_are_whole()
+
+
+def test_where_the_camera_is_said_to_be_it_is_looked_for_once_there_is_a_tracker() -> None:
+    """Far from all keyframes it is not found otherwise."""
+    frames, before = frames_of(HALF), Feeder()
+    before.feed(frames[:8])
+    far = se3.exp(np.array([9.0, 0, 0, 0, 0, 0]))
+    found = replace(resumable_of(before), poses=[far], stamps_ns=(1,), submaps=())
+    true = T_BASE_CAM @ se3.inverse(SOURCE.pose(frames_of(FULL)[0].stamp_ns))
+    place = ExpectedPlace(true @ SOURCE.pose(frames[7].stamp_ns), np.zeros((6, 6)))
+    for expecting in (False, True):
+        after = Feeder()
+        after.session.resume(found)
+        if expecting:
+            after.session.expect(place)
+        results = after.feed(frames[7:9])
+        if expecting:
+            assert_true(results, frames[7:9], T_BASE_CAM, found=2)
+        else:
+            assert states(results) == [TrackingState.LOST] * 2
+            after.session.expect(place)
+            assert 'around' in after.warnings[-1]
+            assert_true(after.feed(frames[9:10]), frames[9:10], T_BASE_CAM, found=1)
+
+
+def test_without_a_map_there_is_nowhere_to_look_for_the_camera() -> None:
+    feeder = Feeder()
+    feeder.session.expect(ExpectedPlace(T_BASE_CAM, np.eye(6)))
+    assert 'no map yet' in feeder.warnings[0]
+    assert_true(feeder.feed(frames_of(HALF)[:1]), frames_of(HALF)[:1], T_BASE_CAM)
 
 
 def test_in_a_map_of_another_place_nothing_is_found_and_nothing_is_made() -> None:

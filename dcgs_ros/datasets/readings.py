@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..core import se3
 from ..core.config.stages import PriorsConfig
-from ..core.priors.motion_priors import MotionPriors
+from ..core.priors.motion_priors import MotionPriors, PriorsError
 from ..core.priors.readings import AngularRate, BasePose
 from .source import OdometrySample, RobotSource, Source
 
@@ -24,9 +24,14 @@ def priors_of(source: Source, config: PriorsConfig) -> MotionPriors:
 
     Raises `PriorsError` where the sequence lacks a sensor that the configuration asks for.
     """
-    if not isinstance(source, RobotSource):
-        return MotionPriors(config)
-    return MotionPriors(config, source.T_cam_imu[:3, :3], source.T_base_cam)
+    priors = MotionPriors(config)
+    if priors.unmounted and isinstance(source, RobotSource):
+        T = source.T_cam_imu
+        priors.mount(None if T is None else T[:3, :3], source.T_base_cam)
+    if priors.unmounted:
+        name, why = next(iter(priors.unmounted.items()))
+        raise PriorsError(f'priors.{name}: {why}; a bag tells it in /tf_static')
+    return priors
 
 
 class Readings:
@@ -34,7 +39,9 @@ class Readings:
 
     def __init__(self, source: Source, config: PriorsConfig) -> None:
         """Read those that the configuration asks for, from the first."""
-        kinds = [_rates(source)] if config.gyro else []
+        kinds = []
+        if config.gyro and isinstance(source, RobotSource):
+            kinds.append(_rates(source))
         if config.wheels and isinstance(source, RobotSource):
             kinds.append(_poses(source))
         self._left = merge(*kinds, key=lambda reading: reading.stamp_ns)
@@ -55,9 +62,9 @@ def base_pose(sample: OdometrySample) -> NDArray[np.float64]:
     return se3.from_quaternion(quat_wxyz, np.array([x, y, 0.0]))
 
 
-def _rates(source: Source) -> Iterator[AngularRate | BasePose]:
+def _rates(source: RobotSource) -> Iterator[AngularRate | BasePose]:
     for sample in source.imu():
-        if sample.angular_velocity is not None:
+        if sample.angular_velocity is not None and sample.frame in source.imu_frames:
             yield AngularRate(sample.stamp_ns, np.array(sample.angular_velocity))
 
 

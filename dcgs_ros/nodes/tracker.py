@@ -19,7 +19,6 @@ from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.keyframe import Correction, MapUpdate
-from ..core.priors.motion_priors import MotionPriors
 from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
 from .health import LOADING, Verdict
@@ -39,6 +38,7 @@ from .tracking.known_map import KnownMap, preferred, save
 from .tracking.mapper_subscriber import MapperSubscriber
 from .tracking.outputs import TrackerOutputs
 from .tracking.pairing import ImagePair
+from .tracking.robot_sensors import RobotSensors
 from .tracking.session import AFTER_RESET, TrackingSession
 
 _FIXED = (
@@ -69,15 +69,16 @@ class TrackerNode(Node):
         self._camera = CameraSubscriber(
             self, node_settings, self._warn, self._outputs.lookup, self._reporter.inform
         )
-        MotionPriors(settings.priors)  # raises: no node reads other sensors yet
+        self._sensors = RobotSensors(self, settings, self._outputs.transforms, self._warn)
         localizes = node_settings.mode == 'localization'
         self._known = KnownMap.read(Path(node_settings.map)) if node_settings.map else None
         if localizes and self._known is None:
             raise DcgsError('node.mode is localization, but node.map names no map')
         self._loops = make_loops(settings, self._on_correction, self._warn)
         self._session = TrackingSession(
-            core_config(settings), np.eye(4), self._warn, self._loops, localizes
-        )
+            core_config(settings), np.eye(4), self._warn, self._loops, localizes,
+            self._sensors.priors,
+        )  # fmt: skip
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
         self._sender = KeyframeSender(publisher, memory_mb, self._session.alive)
@@ -186,6 +187,7 @@ class TrackerNode(Node):
         place = self._initial_pose.take(to_base)
         if place is not None:
             session.expect(place)
+        self._sensors.sense(frame.stamp_ns, camera_frame)
         result = session.track(frame, camera)
         if result is None:
             return
@@ -202,18 +204,19 @@ class TrackerNode(Node):
     def _judged(self) -> tuple[Verdict, dict[str, object]]:
         """Return how tracking goes."""
         session, news = self._session, self._camera.news()
-        verdict = LOADING
+        verdict, priors = LOADING, self._sensors.reasons()
         if self._ready:
             missed = self._camera.missed_text()
             if missed is not None:
                 self._warn(missed)
             verdict = judge(
                 news, session.result, session.searching, ever_tracked=session.ever_tracked,
-                refusal=session.refusal, doubt=self._outputs.doubt,
+                refusal=session.refusal, doubt=self._outputs.doubt, priors=priors,
             )  # fmt: skip
         values = {
             'ms': session.ms, **self._camera.figures(), **session.counts,
             **self._sender.figures(), **session.figures(), **self._loops.figures(),
+            **{f'prior_{name}': why for name, why in priors.items()},
         }  # fmt: skip
         return verdict, values
 

@@ -24,8 +24,8 @@ class Transforms(Protocol):
         """Broadcast a transform that holds at its stamp."""
         ...
 
-    def send_static(self, transform: TransformStamped) -> None:
-        """Broadcast a transform that always holds."""
+    def send_static(self, transforms: list[TransformStamped]) -> None:
+        """Broadcast transforms that always hold."""
         ...
 
     def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
@@ -48,7 +48,7 @@ class NoTransforms:
     def send(self, transform: TransformStamped) -> None:
         """Do nothing."""
 
-    def send_static(self, transform: TransformStamped) -> None:
+    def send_static(self, transforms: list[TransformStamped]) -> None:
         """Do nothing."""
 
     def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
@@ -75,9 +75,9 @@ class Tf2Transforms:
         """Broadcast on /tf."""
         self._broadcaster.sendTransform(transform)
 
-    def send_static(self, transform: TransformStamped) -> None:
+    def send_static(self, transforms: list[TransformStamped]) -> None:
         """Broadcast on /tf_static, which late subscribers get too."""
-        self._static_broadcaster.sendTransform(transform)
+        self._static_broadcaster.sendTransform(transforms)
 
     def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
         """Return the transform, without waiting."""

@@ -89,7 +89,7 @@ def test_without_tf2_ros_that_is_said_once(monkeypatch: pytest.MonkeyPatch) -> N
     transforms: Transforms = make_transforms(node)
     assert type(transforms) is NoTransforms
     transforms.send(TransformStamped())
-    transforms.send_static(TransformStamped())
+    transforms.send_static([TransformStamped()])
     assert transforms.lookup('odom', 'camera_link') is None
     assert len(node.warnings) == 1 and 'TF' in node.warnings[0]
 
@@ -101,8 +101,8 @@ def test_where_there_is_tf2_ros_it_is_used(tf2: None) -> None:
     moving = transform('odom', 'camera_link', np.eye(4))
     fixed = transform('camera_link', 'optical', np.eye(4))
     transforms.send(moving)
-    transforms.send_static(fixed)
-    assert node.sent == [('Broadcaster', moving), ('StaticBroadcaster', fixed)]
+    transforms.send_static([fixed])
+    assert node.sent == [('Broadcaster', moving), ('StaticBroadcaster', [fixed])]
     assert node.warnings == []
 
 

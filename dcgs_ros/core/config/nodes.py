@@ -53,6 +53,21 @@ class TrackerNodeSettings(Stage):
         'unit quaternion; auto: from TF or, until it is there, a camera at the origin of '
         'base_frame that looks along its x axis.',
     )
+    imu_topic: str = described(
+        'camera/camera/imu',
+        'Topic of the IMU for priors.gyro; also listened to are gyro/sample and accel/sample '
+        'beside it, as realsense2_camera names them.',
+    )
+    camera_to_imu: str = described(
+        'auto',
+        "Pose of the IMU's frame in the camera's optical frame as 'x y z qx qy qz qw'; auto: from "
+        'TF. Until it is known the IMU is not used.',
+    )
+    odometry_topic: str = described(
+        'odom',
+        'Topic of the wheel odometry for priors.wheels, of poses of its child frame; empty: TF '
+        'from odom_frame to base_frame, of another node.',
+    )
     wait_for_transform_s: float = ranged(
         5.0,
         0,
@@ -227,5 +242,7 @@ class ReplaySettings(Stage):
         'camera_color_optical_frame', 'Frame of the images, z forward, x right.'
     )
     base_frame: str = described(
-        'camera_link', 'Frame that the camera is fixed to, x forward, z up; broadcast to TF once.'
+        'camera_link',
+        'Frame that the camera is fixed to, x forward, z up; broadcast to TF once, with those of '
+        'the sensors beside it, unless a bag tells what is.',
     )

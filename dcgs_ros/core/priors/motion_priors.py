@@ -21,10 +21,12 @@ from .wheels import Wheels
 
 _WINDOW_NS = 500_000_000  # over which images and sensors are compared: long against their noise
 _LONGEST_NS = 1_500_000_000  # with frames missing in between
+_NO_IMU = 'it is not known how the IMU is turned to the camera'
+_NO_BASE = 'it is not known where on the base the camera is'
 
 
 class PriorsError(DcgsError):
-    """A sensor is asked for that there is not."""
+    """A sensor is asked for whose place is not known."""
 
 
 @dataclass(frozen=True)
@@ -47,19 +49,42 @@ class MotionPriors:
     ) -> None:
         """Take the rotation (3, 3) of the IMU and the place (4, 4) of the camera on the base.
 
-        Raises `PriorsError` where the configuration asks for a sensor whose place is not given.
+        What is not known yet may come later, by `mount`.
         """
-        if config.gyro and R_cam_imu is None:
-            raise PriorsError('priors.gyro: it is not known how the IMU is turned to the camera')
-        if (config.wheels or config.planar_m is not None) and T_base_cam is None:
-            raise PriorsError(
-                'priors.wheels, priors.planar_m: it is not known where on the base the camera is'
-            )
-        self._config, self._T_base_cam = config, T_base_cam
-        self.gyro = Gyro(R_cam_imu) if config.gyro and R_cam_imu is not None else None
-        self.wheels = Wheels(T_base_cam) if config.wheels and T_base_cam is not None else None
+        self._config = config
+        self._T_base_cam: NDArray[np.float64] | None = None
+        self.gyro: Gyro | None = None
+        self.wheels: Wheels | None = None
         self._floor: FloorPrior | None = None
+        self._T_world_first: NDArray[np.float64] | None = None  # where the camera's map began
         self._known: _Known | None = None
+        self.mount(R_cam_imu, T_base_cam)
+
+    def mount(
+        self,
+        R_cam_imu: NDArray[np.float64] | None = None,
+        T_base_cam: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Take where a sensor is, once that is known; what is sensed from then on is used."""
+        config = self._config
+        if config.gyro and R_cam_imu is not None:
+            self.gyro = Gyro(R_cam_imu)
+        if T_base_cam is not None:
+            self._T_base_cam = T_base_cam
+            self.wheels = Wheels(T_base_cam) if config.wheels else None
+            if self._T_world_first is not None:
+                self._lay_floor(self._T_world_first)
+
+    @property
+    def unmounted(self) -> dict[str, str]:
+        """Of the sensors that the configuration asks for, those whose place is not known."""
+        config, no_base = self._config, self._T_base_cam is None
+        asked = {
+            'gyro': (config.gyro and self.gyro is None, _NO_IMU),
+            'wheels': (config.wheels and no_base, _NO_BASE),
+            'planar': (config.planar_m is not None and no_base, _NO_BASE),
+        }
+        return {name: why for name, (lacks, why) in asked.items() if lacks}
 
     @property
     def on_wheels(self) -> bool:
@@ -76,7 +101,10 @@ class MotionPriors:
 
     def begin(self, T_world_cam: NDArray[np.float64]) -> None:
         """Take the floor from where the camera is when its map begins."""
-        self._known = None
+        self._known, self._T_world_first = None, T_world_cam
+        self._lay_floor(T_world_cam)
+
+    def _lay_floor(self, T_world_cam: NDArray[np.float64]) -> None:
         planar_m, T_base_cam = self._config.planar_m, self._T_base_cam
         if planar_m is not None and T_base_cam is not None:
             self._floor = on_floor(T_world_cam, T_base_cam, planar_m, self._config.planar_deg)
@@ -131,4 +159,5 @@ class MotionPriors:
             for name, sensor in sensors.items()
             if sensor is not None
         }
-        return said | ({'planar': 'used'} if self._floor is not None else {})
+        floor = {'planar': 'used'} if self._floor is not None else {}
+        return said | floor | self.unmounted

@@ -64,8 +64,10 @@ class SyntheticSource:
             self._depth_camera.noise, color_readout_ms=1e3 * self._kind.readout_s
         )
         self.T_cam_imu = T_CAM_IMU  # IMU to colour camera
+        self.imu_frames: tuple[str, ...] = (IMU_FRAME,)
         # Camera to base, on wheels, but for vibration; None where a hand holds the camera.
         self.T_base_cam: NDArray[np.float64] | None = self._path.T_base_cam
+        self.base_frame = _BASE_FRAMES[1]
         # True time of a depth image minus its stamp, which a tracker may estimate.
         self.depth_per_metre: float | None = None
         self.notes: tuple[str, ...] = ()

@@ -68,11 +68,13 @@ def judge(
     ever_tracked: bool = True,
     refusal: str = '',
     doubt: str | None = None,
+    priors: Mapping[str, str] | None = None,
 ) -> Verdict:
     """Return how tracking goes, and what to check where it does not.
 
     `refusal` says why the last frame was refused, `doubt` what is not known of the frames, such as
-    where the camera is on the base.
+    where the camera is on the base, `priors` of each sensor that is asked for whether it is used,
+    or why not.
     """
     alone = not streams.pairs and streams.color + streams.depth > _FEW
     if streams.silent_s > _SILENT_S or alone or result is None:
@@ -101,6 +103,9 @@ def judge(
         return Verdict(Level.WARN, f'{text}; lower its rate or resolution')
     if doubt:
         return Verdict(Level.WARN, f'tracking, but {doubt}', logged=True)
+    unused = [f'{name}: {why}' for name, why in (priors or {}).items() if why != 'used']
+    if unused:
+        return Verdict(Level.WARN, f'tracking, but without {"; without ".join(unused)}')
     return Verdict(Level.OK, 'tracking')
 
 

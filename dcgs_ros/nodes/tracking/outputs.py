@@ -26,7 +26,7 @@ from ..messages.corrections import write_correction
 from ..messages.images import header
 from ..messages.odometry import CameraToBase, odometry_message, pose_with_covariance
 from ..messages.poses import path, pose_stamped, transform_stamped
-from ..transforms import make_transforms
+from ..transforms import Transforms, make_transforms
 from ..transport import RELIABLE, latched
 from .corrected import Corrected
 from .extrinsics import Mounting
@@ -77,6 +77,11 @@ class TrackerOutputs:
         return MapToOdom(
             lambda stamp_ns: transforms.lookup(odom, base, stamp_ns), f'{odom} -> {base}', warn
         )
+
+    @property
+    def transforms(self) -> Transforms:
+        """TF, for those who ask it for other frames."""
+        return self._transforms
 
     def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
         """Return TF's T_parent_child (4, 4), metres; None where it does not know it."""

@@ -20,6 +20,7 @@ from ...core.config.stages import Config
 from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
 from ...core.keyframe import Correction, Keyframe, MapUpdate, PosedFrame
+from ...core.priors.motion_priors import MotionPriors
 from ...core.tracking.expectation import ExpectedPlace
 from ...core.tracking.result import TrackingState, TrackResult
 from ...core.tracking.selector import KeyframeSelector
@@ -50,10 +51,12 @@ class TrackingSession:
         warn: Callable[[str], None],
         loops: Loops | None = None,
         localize_only: bool = False,
+        priors: MotionPriors | None = None,
     ) -> None:
         """Wait for the first camera; `warn` gets the lines for the log, `loops` the keyframes.
 
-        With `localize_only` the map of `resume` stays as it is, and is never left.
+        `priors` are what other sensors tell, in all of its maps. With `localize_only` the map of
+        `resume` stays as it is, and is never left.
         """
         self._own_epoch = first_epoch()  # of the last map that is not another tracker's
         self.config, self.epoch = config, self._own_epoch
@@ -74,6 +77,7 @@ class TrackingSession:
         self._names: dict[int, int] = {}  # stamps of this tracker's keyframes, by their index
         self._others: dict[int, int] = {}  # the same of the tracker before, in whose map it is
         self._loops = loops or NoLoops()
+        self._priors = priors
 
     def resume(self, resumable: Known) -> None:
         """Go on in the map of another tracker; to be called before the first frame."""
@@ -193,7 +197,7 @@ class TrackingSession:
 
     def _begin(self, camera: PinholeCamera, T_world_first: NDArray[np.float64]) -> Tracker:
         """Return a new tracker, in the map of another one if that is wanted."""
-        self.tracker = Tracker(camera, self.config, T_world_first)
+        self.tracker = Tracker(camera, self.config, T_world_first, self._priors)
         if self._resumable is not None:
             self.epoch = self._resumable.epoch
             self._resumable.resume(self.tracker)

@@ -125,3 +125,20 @@ def test_wheels_without_poses_say_so() -> None:
     wheels.sense(BasePose(2000 * MS, np.eye(4)))
     assert wheels.factor(0, 1000 * MS) is None  # what was between is not known
     assert wheels.reason(3000 * MS) == 'no pose for 1.00 s'
+
+
+def test_a_published_covariance_is_the_least_noise_of_a_motion() -> None:
+    """Each velocity errs by itself, so that over 50 of them a second the variance is v / 50."""
+    wheels, variance = Wheels(np.eye(4)), np.array([0.04, 0.01, 0.09])
+    for stamp_ns in range(0, 1001 * MS, 20 * MS):
+        wheels.sense(BasePose(stamp_ns, true_base(stamp_ns * 1e-9, STRAIGHT), variance))
+    factor = wheels.factor(500 * MS, 600 * MS)
+    assert factor is not None
+    expected = variance * 0.02 * 0.1
+    np.testing.assert_allclose(np.diag(factor.noise)[[0, 1, 5]], expected)
+
+
+def test_poses_of_another_clock_are_not_used() -> None:
+    wheels = driven(1.0)
+    assert wheels.reason(500 * MS) is None
+    assert wheels.reason(-3_000 * MS) == 'no pose before 3.00 s after the images: of another clock'

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -246,7 +247,36 @@ def test_every_sensor_says_whether_it_is_used() -> None:
     assert priors.reasons(2_495_000_000) == {'gyro': 'no reading for 1.00 s'}
 
 
-def test_a_sensor_without_a_place_is_refused() -> None:
+def test_a_sensor_without_a_place_is_named_and_refused_in_a_sequence() -> None:
     for changes in ({'gyro': True}, {'wheels': True}, {'planar_m': 0.01}):
-        with pytest.raises(PriorsError):
-            MotionPriors(override(Config().priors, changes))
+        config = override(Config().priors, changes)
+        (name,) = MotionPriors(config).reasons(0)
+        assert changes.keys() == {'planar_m' if name == 'planar' else name}
+        unplaced = without_places(SOURCE)
+        with pytest.raises(PriorsError, match=f'priors.{name}: it is not known'):
+            priors_of(unplaced, config)
+
+
+def without_places(source: SyntheticSource) -> SyntheticSource:
+    """Return the source without the places of its sensors."""
+    unplaced = copy(source)
+    unplaced.T_cam_imu = unplaced.T_base_cam = None  # type: ignore[assignment]
+    return unplaced
+
+
+def test_a_place_may_come_while_the_camera_is_tracked() -> None:
+    """The gyro is used from then on; the floor is that under the first pose."""
+    config = override(Config().priors, {'gyro': True, 'planar_m': 0.005})
+    priors, start = MotionPriors(config), se3.exp(np.full(6, 0.3))
+    priors.begin(start)
+    motion = ConstantVelocity(start, 0, np.zeros(6), 0.033)
+    priors.sense(AngularRate(0, np.ones(3)))
+    assert priors.since(motion, FRAME_NS) is None
+    priors.mount(R_cam_imu=np.eye(3))
+    priors.mount(T_base_cam=se3.exp(np.array([0.1, 0, 0.5, -1.2, 0, 0])))
+    assert not priors.unmounted
+    for k in range(10):
+        priors.sense(AngularRate(5_000_000 * k, np.array([0.0, 1.0, 1e-6 * k])))
+    sensed = priors.since(motion, FRAME_NS)
+    assert sensed is not None and sensed.turn is not None and sensed.floor is not None
+    np.testing.assert_allclose(sensed.floor.normal_equations(start).g, 0.0, atol=1e-9)

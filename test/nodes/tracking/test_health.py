@@ -205,3 +205,11 @@ def test_numbers_are_plain_and_leave_out_what_is_not_known() -> None:
     assert all(type(value) in (int, float, str) for value in shown.values())
     lost = numbers(result_in(TrackingState.LOST))
     assert lost['state'] == 'lost' and not {'kappa', 'weakest'} & lost.keys()
+
+
+def test_a_prior_that_is_not_used_is_named() -> None:
+    priors = {'gyro': 'no reading for 0.52 s', 'wheels': 'used', 'planar': 'used'}
+    verdict = judge(FINE, GOOD, False, priors=priors)
+    assert verdict.level is Level.WARN
+    assert verdict.message == 'tracking, but without gyro: no reading for 0.52 s'
+    assert judge(FINE, GOOD, False, priors={'gyro': 'used'}).level is Level.OK

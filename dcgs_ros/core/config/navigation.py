@@ -75,3 +75,14 @@ class GridConfig(Stage):
                 'greatest'
             )
         return numbers.reshape(2, 3)
+
+
+@dataclass(frozen=True)
+class ObstacleConfig(Stage):
+    """Obstacles as points: opaque Gaussians in the grid's height band."""
+
+    opacity: float = ranged(0.5, 0.01, 0.99, 'Least opacity of a Gaussian that is an obstacle.')
+    range_m: float = ranged(5.0, 0.1, 1000, 'Largest distance from the base, metres.')
+    voxel_m: float = ranged(
+        0.05, 0.005, 1, 'Side of the voxels of which each gives one point, metres.'
+    )

@@ -132,7 +132,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         reliability = {'node.reliability': given['reliability']}
         started.append(_node('tracker', given, [reliability, *files, *said, *simulated]))
     if given['mapper'] == 'true':
-        started.append(_node('mapper', given, [*files, *simulated]))
+        base = [{'node.base_frame': given['base_frame']}] if given['base_frame'] else []
+        started.append(_node('mapper', given, [*files, *base, *simulated]))
     if given['rviz'] == 'true':
         shown = ['-d', str(_CONFIG / 'dcgs.rviz')]
         started.append(

@@ -153,7 +153,8 @@ def test_topics_frame_tf_and_time_are_arguments_with_the_last_word(launch: Any) 
     assert {key: value for given in after for key, value in given.items()} == {
         'node.base_frame': 'base_link', 'node.tf': 'none', 'use_sim_time': True,
     }  # fmt: skip
-    assert slam.parameters('mapper') == ['mine.yaml', {'use_sim_time': True}]
+    of_mapper = [{'node.base_frame': 'base_link'}, {'use_sim_time': True}]
+    assert slam.parameters('mapper') == ['mine.yaml', *of_mapper]
     replay = launch('replay', base_frame='base_link', tf='none', use_sim_time='true')
     assert {'node.base_frame': 'base_link'} in replay.parameters('tracker')
     assert {'use_sim_time': True} in replay.parameters('mapper')

@@ -8,6 +8,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Literal
 
+from .navigation import GridConfig, ObstacleConfig
 from .presets import RegistrationChoice
 from .schema import Stage, described, ranged
 from .stages import Config
@@ -172,6 +173,18 @@ class MapperNodeSettings(Stage):
         'Rate at which the map is rendered from the latest pose while there are subscribers, '
         'hertz; 0: never.',
     )
+    grid_rate_hz: float = ranged(
+        1.0, 0, 30, 'Largest rate at which the grid is published where it changed; 0: no grid.'
+    )
+    obstacles_rate_hz: float = ranged(
+        1.0, 0, 30, 'Rate at which obstacles are published while there are subscribers; 0: never.'
+    )
+    base_frame: str = described(
+        'camera_link', 'Frame of the robot, for grid.self_box and the range of obstacles.'
+    )
+    base_to_camera: str = described(
+        'auto', 'Pose of the camera in base_frame, as of the tracker; auto: from TF.'
+    )
     save_folder: str = described('runs', 'Folder in which each saved map gets its own folder.')
     save_on_exit: bool = described(False, 'Save the map at the end.')
     autosave_s: float = ranged(
@@ -195,6 +208,8 @@ class MapperSettings(Config):
     """All settings of the node `mapper`."""
 
     node: MapperNodeSettings = field(default_factory=MapperNodeSettings)
+    grid: GridConfig = field(default_factory=GridConfig)
+    obstacles: ObstacleConfig = field(default_factory=ObstacleConfig)
 
 
 def core_config(settings: Config) -> Config:

@@ -164,3 +164,21 @@ def test_topics_frame_tf_and_time_are_arguments_with_the_last_word(launch: Any) 
 def test_a_replay_waits_for_the_tracker_itself(launch: Any) -> None:
     """RViz or a recorder may subscribe to the camera's topics sooner."""
     assert launch('replay').parameters('replay')[0]['wait_for_node'] == 'dcgs_tracker'
+
+
+def test_topics_of_other_sensors_turn_their_priors_on(launch: Any) -> None:
+    given = {'imu_topic': 'camera/camera/imu', 'odom_topic': '/wheels'}
+    expected = {
+        'node.imu_topic': 'camera/camera/imu', 'priors.gyro': True,
+        'node.odometry_topic': '/wheels', 'priors.wheels': True,
+    }  # fmt: skip
+    for name in ('slam', 'replay'):
+        last: dict[str, object] = {}
+        for parameters in launch(name, **given).parameters('tracker')[-2:]:
+            last |= parameters
+        assert last == expected
+    assert expected.keys() <= flatten(TrackerSettings()).keys()
+    (driver,) = launch('slam', **given).drivers
+    assert dict(driver.named['launch_arguments'])['enable_gyro'] == 'true'
+    (driver,) = launch('slam', odom_topic='/wheels').drivers
+    assert 'enable_gyro' not in dict(driver.named['launch_arguments'])

@@ -236,13 +236,11 @@ class Consistency:
             pending.against &= self._pending.keys()
 
 
-def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> int:
-    """Return how many of the keyframes' views are well apart from each other."""
-    chosen: list[int] = []
-    for k in sorted(set(keyframes)):
-        if all(_are_apart(poses[k], poses[other]) for other in chosen):
-            chosen.append(k)
-    return len(chosen)
+def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> float:
+    """Return how many views the keyframes have: one that is near another counts in part."""
+    T = poses[sorted(set(keyframes))]
+    between = (_apart(T[k], T[:k]).min(initial=1.0) for k in range(len(T)))
+    return float(sum(between))
 
 
 def _views_for(sigma_m: float) -> float:
@@ -272,9 +270,11 @@ def _largest_sigma(covariance: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
-def _are_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    xi = se3.log(se3.inverse(one) @ other)
-    return bool(np.linalg.norm(xi[:3]) >= _VIEW_M or np.linalg.norm(xi[3:]) >= _VIEW_RAD)
+def _apart(one: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far a pose (4, 4) is from others (N, 4, 4), in (N,) views."""
+    xi = np.array([se3.log(T) for T in se3.inverse(one) @ others]).reshape(-1, 6)
+    far, turned = (np.linalg.norm(part, axis=1) for part in (xi[:, :3], xi[:, 3:]))
+    return np.asarray(np.maximum(far / _VIEW_M, turned / _VIEW_RAD))
 
 
 def _moved(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -28,19 +28,16 @@ class Features:
     """Corners of an image, what they look like, and where they are."""
 
     descriptors: NDArray[np.uint8]  # (N, 32) ORB
-    pixels: NDArray[np.float32]  # (N, 2) distorted
     rays: NDArray[np.float32]  # (N, 2) undistorted x/z, y/z
     depths_m: NDArray[np.float32]  # (N,) at colour's instant; 0: none
 
     def __len__(self) -> int:
         """Return the number of features."""
-        return len(self.pixels)
+        return len(self.depths_m)
 
     def __getitem__(self, keep: NDArray[np.int64] | NDArray[np.bool_]) -> Features:
         """Return the features of a mask or of indices."""
-        return Features(
-            self.descriptors[keep], self.pixels[keep], self.rays[keep], self.depths_m[keep]
-        )
+        return Features(self.descriptors[keep], self.rays[keep], self.depths_m[keep])
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -72,7 +69,7 @@ def extract(
     still = np.zeros(6)
     z, rays = back_projected(pixels, guess, frame.depth_m, moved, still, camera, sensor)
     z = np.where(in_range(z, sensor), z, np.float32(0.0))
-    return Features(descriptors, pixels, rays[:, :2].astype(np.float32), z)
+    return Features(descriptors, rays[:, :2].astype(np.float32), z)
 
 
 @cache

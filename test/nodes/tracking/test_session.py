@@ -31,7 +31,7 @@ from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
 from dcgs_ros.core.tracking.expectation import ExpectedPlace
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
-from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, KnownView, features_of
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, epoch_of_file, same_tracker
@@ -672,7 +672,7 @@ def test_the_submaps_of_a_resumed_map_are_its_own() -> None:
 
 def with_images(known: KnownMap, frames: Sequence[RgbdFrame]) -> KnownMap:
     """Add the images of the keyframes, as the mapper saves them."""
-    by_stamp, images = {frame.stamp_ns: frame for frame in frames}, []
+    by_stamp, views = {frame.stamp_ns: frame for frame in frames}, []
     for k, stamp_ns in enumerate(known.stamps_ns):
         frame = by_stamp[stamp_ns]
         depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
@@ -680,9 +680,9 @@ def with_images(known: KnownMap, frames: Sequence[RgbdFrame]) -> KnownMap:
             cv2.imencode(kind, image)[1].tobytes()
             for kind, image in (('.jpg', frame.color[..., ::-1]), ('.png', depth))
         )
-        images.append((k, jpeg, png))
-    features = features_of(images, known.camera, EAGER.sensor)
-    return replace(known, images=tuple(images), features=tuple(features))
+        views.append(KnownView(k, jpeg, png))
+    features = features_of(views, known.camera, EAGER.sensor)
+    return replace(known, views=tuple(views), features=tuple(features))
 
 
 def test_the_back_end_takes_in_the_keyframes_of_a_file(tmp_path: Path) -> None:
@@ -712,7 +712,7 @@ def test_the_back_end_takes_in_the_keyframes_of_a_file(tmp_path: Path) -> None:
     found = {one.keyframe for one in tracker.recogniser.recognise(frames[2])}
     assert found & set(range(count))  # by the images of the file
     kept = after.session.known
-    assert isinstance(kept, KnownMap) and not kept.images
+    assert isinstance(kept, KnownMap) and not kept.views
     poses = tracker.corrected_poses.T_world_cam
     np.testing.assert_allclose(back_end.poses[:count], poses[:count], atol=1e-9)
 

@@ -56,9 +56,11 @@ class Tf:
         self.sent.append((transform.header.frame_id, transform.child_frame_id, T))
         self.stamps_ns.append(stamp_ns(transform.header.stamp))
 
-    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         assert (parent, child) == ('odom', 'base')
-        return self.known.get(stamp_ns)
+        return self.known.get(stamp_ns or 0)
 
 
 class Robot:

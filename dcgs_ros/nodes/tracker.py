@@ -21,7 +21,7 @@ from ..core.errors import DcgsError
 from ..core.keyframe import Correction, MapUpdate
 from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
-from .health import LOADING, Verdict
+from .health import LOADING, PAUSED, Verdict
 from .lifetime import Worker, run
 from .parameters import Parameters
 from .reporter import Reporter
@@ -29,6 +29,7 @@ from .services import answered, offer, refused
 from .tracking.back_end import make_loops, warm_up_loops
 from .tracking.camera_subscriber import CameraSubscriber
 from .tracking.frame_info import FrameInfo
+from .tracking.frame_rate import FrameRate
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
 from .tracking.initial_pose import InitialPose
@@ -88,8 +89,11 @@ class TrackerNode(Node):
             self, self._on_answer, self._sender.acknowledge, self._warn
         )
         offer(self, '~/reset', self._on_reset)
+        offer(self, '~/pause', self._on_pause)
+        offer(self, '~/resume', self._on_resume)
         offer(self, '~/save_map', lambda: self._when_ready(self._save))
         offer(self, '~/load_map', lambda: self._when_ready(self._load))
+        self._rate = FrameRate(node_settings.max_rate_hz)
         self._ready = False
         self._worker = Worker(self, self._work, 'tracking')
 
@@ -115,6 +119,14 @@ class TrackerNode(Node):
         self._sender.forget()
         self._outputs.forget()
         return text
+
+    def _on_pause(self) -> Future[str]:
+        self._camera.pause()
+        return answered(PAUSED.message)
+
+    def _on_resume(self) -> Future[str]:
+        self._camera.resume()
+        return answered('tracking goes on with the next image')
 
     def _when_ready(self, work: Callable[[], str]) -> Future[str]:
         return self._camera.queue.submit(work) if self._ready else refused(LOADING.message)
@@ -155,7 +167,7 @@ class TrackerNode(Node):
             if pair is None:
                 continue
             try:
-                if self._camera.reader.has_camera:
+                if self._camera.reader.has_camera and self._rate.admits(pair.color_ns):
                     self._track(pair)
             except DcgsError as error:
                 self._session.refuse(error)
@@ -204,8 +216,9 @@ class TrackerNode(Node):
     def _judged(self) -> tuple[Verdict, dict[str, object]]:
         """Return how tracking goes."""
         session, news = self._session, self._camera.news()
-        verdict, priors = LOADING, self._sensors.reasons()
-        if self._ready:
+        verdict = PAUSED if self._camera.paused else LOADING
+        priors = self._sensors.reasons()
+        if self._ready and not self._camera.paused:
             missed = self._camera.missed_text()
             if missed is not None:
                 self._warn(missed)
@@ -214,8 +227,9 @@ class TrackerNode(Node):
                 refusal=session.refusal, doubt=self._outputs.doubt, priors=priors,
             )  # fmt: skip
         values = {
-            'ms': session.ms, **self._camera.figures(), **session.counts,
-            **self._sender.figures(), **session.figures(), **self._loops.figures(),
+            'ms': session.ms, **self._camera.figures(), 'left_out': self._rate.left_out,
+            **session.counts, **self._sender.figures(), **session.figures(),
+            **self._loops.figures(),
             **{f'prior_{name}': why for name, why in priors.items()},
         }  # fmt: skip
         return verdict, values

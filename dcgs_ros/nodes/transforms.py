@@ -28,11 +28,10 @@ class Transforms(Protocol):
         """Broadcast transforms that always hold."""
         ...
 
-    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
-        """Return T_parent_child (4, 4), metres, at a stamp; 0: the latest.
-
-        It is interpolated, not extrapolated: None where TF does not know it, or not yet.
-        """
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
+        """Return T_parent_child (4, 4), metres, at a stamp, else the latest; None: not known."""
         ...
 
 
@@ -51,7 +50,9 @@ class NoTransforms:
     def send_static(self, transforms: list[TransformStamped]) -> None:
         """Do nothing."""
 
-    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         """Return None."""
         return None
 
@@ -79,10 +80,13 @@ class Tf2Transforms:
         """Broadcast on /tf_static, which late subscribers get too."""
         self._static_broadcaster.sendTransform(transforms)
 
-    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
-        """Return the transform, without waiting."""
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
+        """Return the transform at a stamp, interpolated, or the latest, without waiting."""
+        time = Time() if stamp_ns is None else Time(nanoseconds=stamp_ns)
         try:
-            found = self._buffer.lookup_transform(parent, child, Time(nanoseconds=stamp_ns))
+            found = self._buffer.lookup_transform(parent, child, time)
         except self._unknown:
             return None
         t, q = found.transform.translation, found.transform.rotation

@@ -49,7 +49,9 @@ class Tf:
 
     send_static = send
 
-    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         assert (parent, child) == ('base_link', 'camera_color_optical_frame')
         return self.T
 

@@ -92,6 +92,13 @@ class TrackerNodeSettings(Stage):
         'How depth is sent, likewise: compressedDepth subscribes to the topic of the raw image '
         'with /compressedDepth after it.',
     )
+    max_rate_hz: float = ranged(
+        0.0,
+        0,
+        1000,
+        'Largest rate at which frames are tracked, hertz; others are left out evenly. Below 5 a '
+        'moving camera gets lost; 0: every frame.',
+    )
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
     )
@@ -184,6 +191,9 @@ class MapperNodeSettings(Stage):
     )
     base_to_camera: str = described(
         'auto', 'Pose of the camera in base_frame, as of the tracker; auto: from TF.'
+    )
+    nice: int = ranged(
+        19, 0, 19, 'Niceness of the mapping thread on Linux; 19 gives way to all others.'
     )
     save_folder: str = described('runs', 'Folder in which each saved map gets its own folder.')
     save_on_exit: bool = described(False, 'Save the map at the end.')

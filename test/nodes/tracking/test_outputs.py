@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 pytest.importorskip('rclpy')
 
 from rclpy.node import Node
+from rclpy.time import Time
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.config.nodes import TrackerNodeSettings
@@ -56,9 +56,11 @@ class Tf:
         self.sent.append((transform.header.frame_id, transform.child_frame_id, T))
         self.stamps_ns.append(stamp_ns(transform.header.stamp))
 
-    def lookup(self, parent: str, child: str, stamp_ns: int = 0) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         assert (parent, child) == ('odom', 'base')
-        return self.known.get(stamp_ns)
+        return self.known.get(stamp_ns or 0)
 
 
 class Robot:
@@ -67,6 +69,11 @@ class Robot:
     def __init__(self, node: Node, tf: Tf, setting: str) -> None:
         settings = TrackerNodeSettings(base_frame='base', tf=setting)  # type: ignore[arg-type]
         self.node, self.tf, self.outputs = node, tf, TrackerOutputs(node, settings, print)
+        self.stamp_ns = 0  # of the last image
+        self.late_ns = 10**8  # of an image, when it is tracked
+        self.outputs._clock = SimpleNamespace(  # type: ignore[assignment]
+            now=lambda: Time(nanoseconds=self.stamp_ns + self.late_ns)
+        )
         self.published: dict[str, list[Any]] = {}
         for name in ('_odometry', '_pose', '_with_covariance', '_camera_pose', '_keyframe_poses'):
             messages = self.published[name] = []
@@ -206,7 +213,7 @@ def test_a_correction_moves_odom_in_the_map_without_a_frame(robot: Robot) -> Non
     robot.publish(TO_BASE.T_base_cam)
     robot.outputs.correct(corrected_by(M), EPOCH_NUMBER)
     robot.tf.sent.clear()
-    time.sleep(0.002)
+    robot.late_ns += 10**7
     robot.outputs._send_map_to_odom()
     same(robot.sent('map', 'odom'), M @ se3.inverse(ROBOT))
 
@@ -217,10 +224,10 @@ def test_map_to_odom_is_kept_alive_by_a_timer(robot: Robot) -> None:
     (timer,) = robot.node.timers
     assert timer.timer_period_ns == 50_000_000
     robot.tf.sent.clear()
-    time.sleep(0.002)
+    robot.late_ns = 10**10  # ten seconds without an image
     timer.callback()
     same(robot.sent('map', 'odom'), se3.inverse(ROBOT))
-    assert robot.tf.stamps_ns[-1] > robot.stamp_ns + 10**8
+    assert robot.tf.stamps_ns[-1] == robot.stamp_ns + 10**10 + 10**8
 
 
 @pytest.mark.parametrize('robot', ['none'], indirect=True)

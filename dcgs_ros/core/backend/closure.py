@@ -81,7 +81,8 @@ class Closures:
         like = self._neighbourhood.same_view(k, _same_view_m(cloud), among=self._clouds)
         self._seen_again = None if like is None else (k, like)
         self._clouds[k] = cloud
-        self.places.add(k, extract(frame, camera, config.sensor, moved), is_new=like is None)
+        features = extract(frame, camera, config.sensor, moved, config.self_mask)
+        self.places.add(k, features, is_new=like is None)
 
     def _leave_out(self) -> None:
         """Leave out the last keyframe, if an earlier one shows the same."""

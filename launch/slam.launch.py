@@ -29,6 +29,7 @@ _TOPICS = {
     'camera/camera/color/image_raw': 'color_topic',
     'camera/camera/aligned_depth_to_color/image_raw': 'depth_topic',
     'camera/camera/color/camera_info': 'camera_info_topic',
+    'grid': 'grid_topic',
 }
 _SENSORS = {  # the tracker's parameters, and the priors that they are for
     'imu_topic': ('node.imu_topic', 'priors.gyro'),
@@ -58,7 +59,8 @@ _ARGUMENTS = [
     DeclareLaunchArgument(
         'params',
         default_value='',
-        description="Parameter file of tracker and mapper; by default the camera's.",
+        description='Parameter file of tracker and mapper, which has the last word after the '
+        "camera's.",
     ),
     DeclareLaunchArgument(
         'reliability',
@@ -91,6 +93,11 @@ _ARGUMENTS = [
         'base_frame',
         default_value='',
         description=f'Frame whose pose is published, such as base_link; {_DEFAULT}.',
+    ),
+    DeclareLaunchArgument(
+        'grid_topic',
+        default_value='',
+        description='Topic of the occupancy grid, such as map for nav2; empty: grid.',
     ),
     DeclareLaunchArgument(
         'tf',
@@ -132,9 +139,9 @@ def generate_launch_description() -> LaunchDescription:
 def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     names = (argument.name for argument in _ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    files = [given['params']] if given['params'] else []
-    if not files and given['camera'] != 'none':
-        files = [str(_CONFIG / f'{given["camera"]}.yaml')]
+    known = given['camera'] != 'none'
+    files = [str(_CONFIG / f'{given["camera"]}.yaml')] if known else []
+    files += [given['params']] if given['params'] else []
     simulated = [{'use_sim_time': True}] if given['use_sim_time'] == 'true' else []
     started: list[LaunchDescriptionEntity] = []
     if given['tracker'] == 'true':
@@ -148,7 +155,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         reliability = {'node.reliability': given['reliability']}
         started.append(_node('tracker', given, [reliability, *files, *said, *simulated]))
     if given['mapper'] == 'true':
-        started.append(_node('mapper', given, [*files, *simulated]))
+        base = [{'node.base_frame': given['base_frame']}] if given['base_frame'] else []
+        started.append(_node('mapper', given, [*files, *base, *simulated]))
     if given['rviz'] == 'true':
         shown = ['-d', str(_CONFIG / 'dcgs.rviz')]
         started.append(
@@ -161,7 +169,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def _remappings(given: dict[str, str]) -> list[tuple[str, str]]:
-    """Return those of the camera's topics, and in a namespace those of TF."""
+    """Return those of topics, and in a namespace those of TF."""
     topics = [(usual, given[name]) for usual, name in _TOPICS.items() if given[name]]
     return topics + (_OWN_TF if given['namespace'] else [])
 

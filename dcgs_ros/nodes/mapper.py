@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from ..io.ros_images import stamp_ns
 from .health import LOADING, Verdict
 from .lifetime import Worker, run
 from .mapping.keyframe_subscriber import KeyframeSubscriber
+from .mapping.navigation import Navigation, Seen
 from .mapping.outputs import MapOutputs
 from .mapping.session import AFTER_RESET, MappingSession
 from .messages.corrections import read_correction
@@ -66,6 +68,7 @@ class MapperNode(Node):
             raise DcgsError('node.mode is localization, but node.map names no map')
         self._autosave_s, self._autosaved = time.monotonic(), 0
         self._outputs = MapOutputs(self, settings.node)
+        self._navigation = Navigation(self, settings)
         self._queue = self._keyframes.queue
         self._pose: PoseStamped | None = None  # latest of the camera
         self._ready = False
@@ -78,6 +81,7 @@ class MapperNode(Node):
 
     def _on_pose(self, pose: PoseStamped) -> None:
         self._pose = pose
+        self._outputs.world = pose.header.frame_id or self._outputs.world
 
     def _on_poses(self, cloud: PointCloud2) -> None:
         try:
@@ -132,10 +136,11 @@ class MapperNode(Node):
 
     def _work(self) -> None:
         """Insert what came, publish what is due, optimise otherwise; until closed."""
-        give_way()
+        give_way(self._params.settings.node.nice)
         self.get_logger().info(LOADING.message)
         session, outputs = self._session, self._outputs
         warm_up_with_mapper(ANY_CAMERA, self._params.settings)
+        self._navigation.warm_up()
         self._ready = True
         self.get_logger().info('ready')
         outputs.keyframes(
@@ -150,7 +155,7 @@ class MapperNode(Node):
             if outputs.render_due() and self._pose is not None:
                 self._render(self._pose)
             self._autosave()
-            busy = parts is not None or session.advance()
+            busy = self._navigate() or parts is not None or session.advance()
 
     def _insert(self, parts: dict[str, Any]) -> None:
         """Insert a keyframe, and tell the tracker what became of its Gaussians."""
@@ -164,6 +169,17 @@ class MapperNode(Node):
             self._outputs.world = parts['pose'].header.frame_id or self._outputs.world
             self._outputs.answer(update, packet.stamp_ns)
         self._outputs.keyframes(self._session.mapper)
+
+    def _navigate(self) -> bool:
+        """Bring grid and obstacles up to date; return whether more is to be done at once."""
+        session, outputs, T_map_cam = self._session, self._outputs, None
+        more = self._navigation.follow(session.mapper, session.camera_frame)
+        if self._pose is not None:
+            with suppress(DcgsError):  # not a pose: `_render` warns of it
+                T_map_cam = matrix(self._pose.pose)
+        seen = Seen(outputs.world, outputs.stamp_ns, session.camera_frame, T_map_cam)
+        self._navigation.publish_when_due(seen)
+        return more
 
     def _correct(self, correction: Correction, epoch: int) -> None:
         """Move the map; its changes are published when they are due."""

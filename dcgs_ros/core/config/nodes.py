@@ -8,6 +8,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Literal
 
+from .navigation import GridConfig, ObstacleConfig
 from .presets import RegistrationChoice
 from .schema import Stage, described, ranged
 from .stages import Config
@@ -17,10 +18,13 @@ from .stages import Config
 class TrackerNodeSettings(Stage):
     """The tracker's node: frames, topics, memory and files."""
 
+    map_frame: str = described(
+        'map', 'Frame of the map, in which the base is right, but steps at corrections.'
+    )
     odom_frame: str = described(
         'odom',
         'Frame in which the base moves without steps; it drifts. It begins where the map has its '
-        'origin, which is in the frame map.',
+        'origin.',
     )
     base_frame: str = described(
         'camera_link', 'Frame of the robot, or of the camera itself, whose pose is published.'
@@ -30,6 +34,19 @@ class TrackerNodeSettings(Stage):
         'Transforms to broadcast: odom_to_base (odom_frame to base_frame, map to odom_frame) if '
         'no other node does; map_to_odom (map to odom_frame only) if another node, such as wheel '
         'odometry, broadcasts odom_frame to base_frame; none.',
+    )
+    tf_delay_s: float = ranged(
+        0.05,
+        0.005,
+        10,
+        'With tf map_to_odom: interval at which map to odom_frame is broadcast, lost or not, '
+        'seconds.',
+    )
+    tf_tolerance_s: float = ranged(
+        0.1,
+        0,
+        10,
+        'With tf map_to_odom: how far into the future that transform is dated, seconds.',
     )
     base_to_camera: str = described(
         'auto',
@@ -75,6 +92,13 @@ class TrackerNodeSettings(Stage):
         'How depth is sent, likewise: compressedDepth subscribes to the topic of the raw image '
         'with /compressedDepth after it.',
     )
+    max_rate_hz: float = ranged(
+        0.0,
+        0,
+        1000,
+        'Largest rate at which frames are tracked, hertz; others are left out evenly. Below 5 a '
+        'moving camera gets lost; 0: every frame.',
+    )
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
     )
@@ -98,6 +122,13 @@ class TrackerNodeSettings(Stage):
         2,
         100000,
         'Largest number of poses in the path; of a longer one every 2nd, 4th ... is kept.',
+    )
+    points_rate_hz: float = ranged(
+        10.0,
+        0,
+        60,
+        'Largest rate at which the depth of tracked frames is published as points while there are '
+        'subscribers, hertz; 0: never.',
     )
     keyframe_memory_mb: float = ranged(
         300.0,
@@ -138,7 +169,7 @@ class TrackerSettings(Config):
 class MapperNodeSettings(Stage):
     """The mapper's node: frames, rates and files."""
 
-    odom_frame: str = described('odom', "Frame that the map is in until a keyframe's pose tells.")
+    map_frame: str = described('map', "Frame that the map is in until a keyframe's pose tells.")
     map_rate_hz: float = ranged(
         0.1,
         0,
@@ -155,6 +186,28 @@ class MapperNodeSettings(Stage):
         30,
         'Rate at which the map is rendered from the latest pose while there are subscribers, '
         'hertz; 0: never.',
+    )
+    grid_rate_hz: float = ranged(
+        1.0,
+        0,
+        30,
+        'Largest rate at which the grid is published where it has changed, hertz; 0: there '
+        'is none.',
+    )
+    obstacles_rate_hz: float = ranged(
+        1.0,
+        0,
+        30,
+        'Rate at which obstacles are published while there are subscribers, hertz; 0: never.',
+    )
+    base_frame: str = described(
+        'camera_link', 'Frame of the robot, for grid.self_box and the range of obstacles.'
+    )
+    base_to_camera: str = described(
+        'auto', 'Pose of the camera in base_frame, as of the tracker; auto: from TF.'
+    )
+    nice: int = ranged(
+        19, 0, 19, 'Niceness of the mapping thread on Linux; 19 gives way to all others.'
     )
     save_folder: str = described('runs', 'Folder in which each saved map gets its own folder.')
     save_on_exit: bool = described(False, 'Save the map at the end.')
@@ -179,6 +232,8 @@ class MapperSettings(Config):
     """All settings of the node `mapper`."""
 
     node: MapperNodeSettings = field(default_factory=MapperNodeSettings)
+    grid: GridConfig = field(default_factory=GridConfig)
+    obstacles: ObstacleConfig = field(default_factory=ObstacleConfig)
 
 
 def core_config(settings: Config) -> Config:

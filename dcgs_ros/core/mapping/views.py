@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..backend.features import Features
 from ..errors import FrameError
 from ..kernels.jit import kernel
 from ..kernels.workers import Workers
@@ -36,6 +37,7 @@ class KeyframeView:
     exposure: Exposure
     visits: int = 0  # optimisation steps so far
     keyframe: int = -1  # the tracker's number of it; -1 for a view between keyframes
+    features: Features | None = None  # by which its place is known again, once they are wanted
     reference_ns: int | None = None  # stamp of the keyframe that it moves with, if that is known
     _images: Images | None = None
     _encoded: tuple[bytes, bytes] | None = None
@@ -66,9 +68,10 @@ class KeyframeView:
         visits: int,
         keyframe: int,
         encoded: tuple[bytes, bytes],  # colour and depth, as `encoded` gives them
+        features: Features | None = None,
     ) -> KeyframeView:
         """Return a view as it was when it was saved."""
-        return cls(index, stamp_ns, *poses, exposure, visits, keyframe, _encoded=encoded)
+        return cls(index, stamp_ns, *poses, exposure, visits, keyframe, features, _encoded=encoded)
 
     @property
     def correction(self) -> NDArray[np.float64]:
@@ -102,13 +105,18 @@ class KeyframeView:
         if self._images is not None:
             return self._images
         assert self._encoded is not None
-        color, depth = (
-            cv2.imdecode(np.frombuffer(data, np.uint8), flag)
-            for data, flag in zip(
-                self._encoded, (cv2.IMREAD_COLOR, cv2.IMREAD_UNCHANGED), strict=True
-            )
-        )
-        return Images(cv2.cvtColor(color, cv2.COLOR_BGR2RGB), depth)
+        color = cv2.imdecode(np.frombuffer(self._encoded[0], np.uint8), cv2.IMREAD_COLOR)
+        return Images(cv2.cvtColor(color, cv2.COLOR_BGR2RGB), _decode(self._encoded[1]))
+
+    @property
+    def depth_m(self) -> NDArray[np.float32]:
+        """(H, W) metres, decoded if it is compressed, without the colour; (0, 0) if retired."""
+        if self._images is not None:
+            return self._images.depth_m
+        depth = self.encoded[1]
+        if not depth:
+            return np.empty((0, 0), np.float32)
+        return Images(np.empty((0, 0, 3), np.uint8), _decode(depth)).depth_m
 
     @property
     def encoded(self) -> tuple[bytes, bytes]:
@@ -193,6 +201,10 @@ def _encode(suffix: str, image: NDArray[Any], options: list[int]) -> bytes:
     if not done:
         raise FrameError(f'OpenCV cannot encode {image.shape} {image.dtype} as {suffix}')
     return bytes(data)
+
+
+def _decode(depth: bytes) -> NDArray[np.uint16]:
+    return np.asarray(cv2.imdecode(np.frombuffer(depth, np.uint8), cv2.IMREAD_UNCHANGED))
 
 
 @kernel

@@ -107,7 +107,9 @@ class Gravity:
 
     def prior(self, stamp_ns: int) -> UpPrior | None:
         """Return where up is at a stamp; the gyro carries it on from where it was known."""
-        if self._up_world is None or self._R_level_cam is None or self._monitor.reason:
+        if self._up_world is None or self._R_level_cam is None:
+            return None
+        if self._monitor.reason is not None or self._gyro.reason(stamp_ns) is not None:
             return None
         R, seconds = np.eye(3), (stamp_ns - self._known_ns) * 1e-9
         if stamp_ns != self._known_ns:

@@ -21,7 +21,7 @@ from .motion.imu import ACCELEROMETER_NOISE, GYRO_NOISE, NO_NOISE, T_CAM_IMU, me
 from .motion.odometry import NO_ERRORS, WHEELS, measured_odometry
 from .motion.path import ImageMotion
 from .options import SyntheticOptions, parse_address
-from .raycast import SceneView, cast
+from .raycast import Scene, SceneView, cast
 from .scenes.catalogue import SCENES, build_scenario
 from .sensors.catalogue import SENSORS
 from .sensors.color_camera import expose, ideal_image, through_lens
@@ -119,6 +119,11 @@ class SyntheticSource:
                 stamps_ns.tolist(), block.poses.tolist(), block.velocities.tolist(), strict=True
             ):
                 yield OdometrySample(stamp_ns, *_BASE_FRAMES, tuple(pose), tuple(velocity))
+
+    @property
+    def scene(self) -> Scene:
+        """What the camera sees."""
+        return self._scenario.scene
 
     @property
     def _span_s(self) -> tuple[float, float]:

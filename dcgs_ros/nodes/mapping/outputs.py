@@ -37,7 +37,7 @@ class MapOutputs:
     def __init__(self, node: Node, settings: MapperNodeSettings) -> None:
         """Advertise the topics."""
         self._settings = settings
-        self.world = settings.odom_frame  # frame that the map is in
+        self.world = settings.map_frame  # frame that the map is in
         advertise = node.create_publisher
         self._map = advertise(PointCloud2, 'gaussian_map', latched(1))
         self._updates = advertise(PointCloud2, 'gaussian_map_updates', latched(UPDATES_KEPT))
@@ -46,7 +46,7 @@ class MapOutputs:
         self._color = advertise(Image, 'render/color', RELIABLE)
         self._depth = advertise(Image, 'render/depth', RELIABLE)
         self._rows = np.zeros(0, MAP_GAUSSIAN)  # as last published
-        self._stamp_ns = 0
+        self.stamp_ns = 0  # of the map
         self._since_whole = UPDATES_KEPT  # updates: the first map is due at once
         self._whole_stamp_ns = -1
         now = time.monotonic()
@@ -65,7 +65,7 @@ class MapOutputs:
         rows = np.zeros(0, MAP_GAUSSIAN) if mapper is None else map_rows(mapper)
         changed = changes(self._rows, rows)
         if len(changed):
-            self._stamp_ns = max(_newest_ns(mapper), self._stamp_ns + 1)
+            self.stamp_ns = max(_newest_ns(mapper), self.stamp_ns + 1)
             self._updates.publish(self._cloud(changed))
             self._rows = rows
             self._since_whole += 1
@@ -75,13 +75,13 @@ class MapOutputs:
         """Publish the whole map, if it changed, at its rate or before updates are forgotten."""
         rate_hz = self._settings.map_rate_hz
         due = rate_hz > 0 and time.monotonic() >= self._whole_s
-        if self._stamp_ns != self._whole_stamp_ns and (due or self._since_whole >= UPDATES_KEPT):
+        if self.stamp_ns != self._whole_stamp_ns and (due or self._since_whole >= UPDATES_KEPT):
             self._map.publish(self._cloud(self._rows))
-            self._whole_stamp_ns, self._since_whole = self._stamp_ns, 0
+            self._whole_stamp_ns, self._since_whole = self.stamp_ns, 0
             self._whole_s = time.monotonic() + (1.0 / rate_hz if rate_hz > 0 else 0.0)
 
     def _cloud(self, rows: NDArray[Any]) -> PointCloud2:
-        return write_cloud(rows, header(self._stamp_ns, self.world))
+        return write_cloud(rows, header(self.stamp_ns, self.world))
 
     def keyframes(self, mapper: Mapper | None) -> None:
         """Publish which keyframes there are; the tracker sends what is not among them."""

@@ -63,6 +63,15 @@ CORRECTED_POSE = np.dtype(
 )  # fmt: skip
 
 
+# A point of a surface, metres.
+POINT = np.dtype([(axis, '<f4') for axis in 'xyz'])
+
+
+def point_rows(points: NDArray[np.float32]) -> NDArray[Any]:
+    """Return points (N, 3) as POINT rows (N,), without copying them."""
+    return np.ascontiguousarray(points, np.float32).view(POINT).reshape(-1)
+
+
 def write_cloud(rows: NDArray[Any], header: Header) -> PointCloud2:
     """Return rows (N,) of any of these types as a cloud, not dense since a row may be NaN."""
     cloud = PointCloud2(header=header, height=1, width=len(rows), is_dense=False)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import se3
-from ...core.config.nodes import TrackerNodeSettings
+from ...core.config.nodes import MapperNodeSettings, TrackerNodeSettings
 from ...core.config.schema import ConfigError
 from ..messages.odometry import CameraToBase
 from ..transforms import Transforms
@@ -73,7 +73,7 @@ class Mounting:
 
 
 def known_extrinsics(
-    settings: TrackerNodeSettings, transforms: Transforms, camera_frame: str
+    settings: TrackerNodeSettings | MapperNodeSettings, transforms: Transforms, camera_frame: str
 ) -> NDArray[np.float64] | None:
     """Return T_base_cam (4, 4), optical frame: as set, else from TF; None where that lacks it."""
     given = given_extrinsics(settings)
@@ -84,7 +84,9 @@ def known_extrinsics(
     return transforms.lookup(settings.base_frame, camera_frame)
 
 
-def given_extrinsics(settings: TrackerNodeSettings) -> NDArray[np.float64] | None:
+def given_extrinsics(
+    settings: TrackerNodeSettings | MapperNodeSettings,
+) -> NDArray[np.float64] | None:
     """Return T_base_cam (4, 4) as set, None for 'auto'; raise `ConfigError` for anything else."""
     return parse_pose('node.base_to_camera', settings.base_to_camera)
 

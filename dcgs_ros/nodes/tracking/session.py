@@ -21,6 +21,7 @@ from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
 from ...core.keyframe import Correction, Keyframe, MapUpdate, PosedFrame
 from ...core.priors.motion_priors import MotionPriors
+from ...core.tracking.expectation import ExpectedPlace
 from ...core.tracking.result import TrackingState, TrackResult
 from ...core.tracking.selector import KeyframeSelector
 from ...core.tracking.tracker import Tracker
@@ -69,6 +70,7 @@ class TrackingSession:
         self._selector = KeyframeSelector(config.mapping.view_interval)
         self._resumable: Known | None = None
         self._localize_only = localize_only
+        self._expected: ExpectedPlace | None = None  # until there is a tracker
         self._stamp_ns: int | None = None  # of the last frame
         self._held = False  # whether the camera's place was known then
         self._keyframe_stamps: set[int] = set()
@@ -102,6 +104,7 @@ class TrackingSession:
             self._resumable = None
         self.epoch = self._own_epoch = next_epoch(self._own_epoch)
         self._stamp_ns, self._held, self.ever_tracked = None, False, False
+        self._expected = None
         return _LOOKING if self._localize_only else AFTER_RESET
 
     def remount(self, T_base_cam: NDArray[np.float64], frame: RgbdFrame) -> None:
@@ -120,6 +123,17 @@ class TrackingSession:
         self._warn('the camera is elsewhere on the base than assumed: a new map begins')
         self.reset()
         self._begin(last.camera, T_world_cam)
+
+    def expect(self, place: ExpectedPlace) -> None:
+        """Look for the camera first where somebody says that it is, from the next frame on."""
+        position = ', '.join(f'{x:.2f}' for x in place.T_world_cam[:3, 3])
+        if self.tracker is None and self._resumable is not None:
+            self._expected = place
+        elif self.tracker is None or not self.tracker.keyframes:
+            self._warn(f'the camera is said to be at {position} m, but there is no map yet')
+        elif self.tracker.expect(place):
+            self._held = False
+            self._warn(f'the camera is looked for around {position} m, where it is said to be')
 
     def reconfigure(self, config: Config) -> None:
         """Apply settings that may change at run time."""
@@ -188,8 +202,11 @@ class TrackingSession:
             self.epoch = self._resumable.epoch
             self._resumable.resume(self.tracker)
             self.tracker.localize_only = self._localize_only
+            if self._expected is not None:
+                self.tracker.expect(self._expected)
             if isinstance(self._resumable, KnownMap) and self._resumable.camera != camera:
                 self._warn(_OTHER_CAMERA)
+        self._expected = None
         self._begin_loops(self.tracker)
         self._names.clear()
         self._others = _unique(self.tracker.visited.stamps_ns)
@@ -291,6 +308,10 @@ class TrackingSession:
         """Return whether the camera is looked for in the map."""
         tracker = self.tracker
         return tracker is not None and tracker.searching
+
+    def priors(self, stamp_ns: int) -> dict[str, str]:
+        """Return for each sensor beside the camera 'used', or why it is not, at a stamp."""
+        return {} if self.tracker is None else self.tracker.priors.reasons(stamp_ns)
 
     def figures(self) -> dict[str, Any]:
         """Return the sizes of the map and the figures of the last frame, for diagnostics."""

@@ -31,6 +31,7 @@ from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 SOURCE = SyntheticSource.from_address('synthetic:room?frames=60&speed=2.5&motion=turning&seed=0')
 AT_REST = SyntheticSource.from_address('synthetic:room?frames=20&motion=turning')
+T_BASE_CAM = np.asarray(SOURCE.T_base_cam)
 SEEN, SHOWN = 8, 16  # frames before the lens is covered, and in all
 FRAME_NS = 33_333_333
 
@@ -86,6 +87,17 @@ def test_a_gyro_and_wheels_carry_it_and_say_so() -> None:
     assert metres < 0.02 and radians < 0.02
     turned = se3.log(se3.inverse(results[SEEN - 1].T_world_cam) @ results[-1].T_world_cam)
     assert np.linalg.norm(turned[3:]) > 0.1  # it did turn meanwhile
+
+
+def test_wheels_alone_carry_it_without_a_tilt() -> None:
+    """Constant velocity would go on with whatever tilt the noise of the last frame had."""
+    results = tracked('wheels')
+    assert {result.state for result in results[SEEN:]} == {TrackingState.DEGENERATE}
+    base = [T_BASE_CAM @ se3.inverse(r.T_world_cam) for r in (results[SEEN - 1], results[-1])]
+    turn = se3.log(base[0] @ se3.inverse(base[1]))
+    assert np.degrees(np.abs(turn[3:5])).max() < 0.1 < np.degrees(abs(turn[5]))
+    metres, _ = error(results[-1])
+    assert metres < 0.02
 
 
 def test_what_is_carried_is_no_view_for_the_mapper() -> None:

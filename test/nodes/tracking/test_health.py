@@ -181,12 +181,12 @@ def test_what_was_never_tracked_is_not_to_move_back() -> None:
 
 
 def test_an_unknown_place_on_the_base_is_a_warning() -> None:
-    waiting = judge(FINE, None, False, mounting='waiting for TF')
+    waiting = judge(FINE, None, False, doubt='waiting for TF')
     assert (waiting.level, waiting.message) == (Level.WARN, 'waiting for TF')
-    assumed = judge(FINE, GOOD, False, mounting='no TF from a to b')
+    assumed = judge(FINE, GOOD, False, doubt='no TF from a to b')
     assert assumed.level is Level.WARN
     assert assumed.message == 'tracking, but no TF from a to b'
-    assert 'no depth' in message(replace(FINE, pairs=0, depth=0), mounting='waiting')
+    assert 'no depth' in message(replace(FINE, pairs=0, depth=0), doubt='waiting')
 
 
 @pytest.mark.parametrize('axis', range(6))

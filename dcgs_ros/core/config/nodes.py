@@ -56,8 +56,8 @@ class TrackerNodeSettings(Stage):
     )
     imu_topic: str = described(
         'camera/camera/imu',
-        'Topic of the IMU for priors.gyro; also listened to are gyro/sample and accel/sample '
-        'beside it, as realsense2_camera names them.',
+        'Topic of the IMU for priors.gyro and priors.gravity; also listened to are gyro/sample '
+        'and accel/sample beside it, as realsense2_camera names them, with parallel axes.',
     )
     camera_to_imu: str = described(
         'auto',

@@ -19,7 +19,7 @@ from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
 from ..priors.motion_priors import MotionPriors
-from ..priors.readings import AngularRate, BasePose
+from ..priors.readings import Reading
 from ..self_mask import without_robot
 from .claims import Claim, Clocks, PoseClaims
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, to_grey
@@ -91,7 +91,7 @@ class Tracker:
         self._seen_ns = 0  # stamp of the last frame that was tracked
         self.threads = jit.set_threads(self._config.threads)
 
-    def sense(self, reading: AngularRate | BasePose) -> None:
+    def sense(self, reading: Reading) -> None:
         """Take what another sensor measured, before the frames that were taken later."""
         self.priors.sense(reading)
 

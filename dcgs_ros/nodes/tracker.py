@@ -205,7 +205,7 @@ class TrackerNode(Node):
         result = session.track(frame, camera)
         if result is None:
             return
-        self._frame_info.publish(result, session.ms, session.priors(result.stamp_ns))
+        self._frame_info.publish(result, session.ms, self._sensors.reasons)
         if session.epoch != epoch:
             self._sender.forget()
         if result.state is not TrackingState.LOST:
@@ -220,8 +220,8 @@ class TrackerNode(Node):
     def _judged(self) -> tuple[Verdict, dict[str, object]]:
         """Return how tracking goes."""
         session, news = self._session, self._camera.news()
-        verdict = PAUSED if self._camera.paused else LOADING
         priors = self._sensors.reasons()
+        verdict = PAUSED if self._camera.paused else LOADING
         if self._ready and not self._camera.paused:
             missed = self._camera.missed_text()
             if missed is not None:
@@ -233,8 +233,7 @@ class TrackerNode(Node):
         values = {
             'ms': session.ms, **self._camera.figures(), 'left_out': self._rate.left_out,
             **session.counts, **self._sender.figures(), **session.figures(),
-            **self._loops.figures(),
-            **{f'prior_{name}': why for name, why in priors.items()},
+            **self._loops.figures(), **{f'prior_{name}': why for name, why in priors.items()},
         }  # fmt: skip
         return verdict, values
 

@@ -65,12 +65,13 @@ class Search:
     ) -> None:
         """Begin where the camera was last, or where it is `expected`: for 5 s only there."""
         self._camera, self._visited, self._expected = camera, visited, expected
-        self._everywhere = Relocalizer(
-            motion.T_world_cam, _unrecognisable(visited, recogniser), usual
-        )
+        poses = _unrecognisable(visited, recogniser)
+        self._everywhere = Relocalizer(motion.T_world_cam, poses, usual)
         self._relocalizer = self._everywhere
         if expected is not None:
             self._relocalizer = Relocalizer(expected.T_world_cam, expected.poses(), usual)
+        # Where all places are known by their looks, depth alone is not believed around it.
+        self._by_looks = expected is not None and not poses
         self._stamp_ns = motion.stamp_ns  # of the last frame in which the camera was looked for
         self._expected_s = 0.0  # of frames that found no place where it was expected
         self.seconds = 0.0  # of frames that found no place
@@ -95,6 +96,7 @@ class Search:
             self._expected_s += step_s
             if self._expected_s >= _EXPECTED_S:
                 self._expected, self._relocalizer = None, self._everywhere
+                self._by_looks = False
         return Sought(found, None)
 
     def _best(
@@ -107,7 +109,8 @@ class Search:
         depth = DepthTerm(cloud, known.gaussians, self._camera.focal, config)
         if not memory.is_gap(frame.stamp_ns) and self._expected is None:
             guesses = [*guesses, prior.T_world_cam]
-        places = self._recognised(frame, known) if self._relocalizer.wants_places else []
+        recognises = self._relocalizer.wants_places or self._by_looks
+        places = self._recognised(frame, known) if recognises else []
         best = self._relocalizer.best(depth, config, guesses, places)
         T, grey = best.T_world_cam, to_grey(frame.color)
         registered = RegisteredFrame(frame, T, np.eye(4), grey, np.zeros(6), np.zeros(6))
@@ -118,6 +121,8 @@ class Search:
         best, frame, T = found.registration, found.registered.frame, found.registered.T_world_cam
         config, claims, clocks = known.config, known.claims, known.clocks
         if self._expected is not None and not self._expected.admits(T):
+            return False
+        if self._by_looks and best.image is None:
             return False
         agreement = known.gaussians.agreement(T, frame.depth_m, self._camera, config.sensor)
         if not (found.is_trusted(config) and self._relocalizer.accepts(best, agreement)):

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -17,7 +17,7 @@ from ..transport import RELIABLE
 from .health import numbers
 
 _LEVELS = {TrackingState.OK: Level.OK, TrackingState.LOST: Level.ERROR}  # others: WARN
-_USED = 'used'  # what `MotionPriors.reasons` says of a prior that is
+_USED = 'used'  # the reason of a prior that is
 
 
 class FrameInfo:
@@ -28,12 +28,14 @@ class FrameInfo:
         self._name = f'{node.get_fully_qualified_name().lstrip("/")}: frame'
         self._publisher = node.create_publisher(DiagnosticArray, '~/frame_info', RELIABLE)
 
-    def publish(self, result: TrackResult, ms: float, priors: Mapping[str, str]) -> None:
-        """Publish, if somebody listens; `priors` tells of each 'used', or why it is not."""
+    def publish(
+        self, result: TrackResult, ms: float, reasons: Callable[[], Mapping[str, str]]
+    ) -> None:
+        """Publish, if somebody listens; `reasons` tells of each prior 'used', or why it is not."""
         if not self._publisher.get_subscription_count():
             return
         level = _LEVELS.get(result.state, Level.WARN)
-        used = [name for name, said in priors.items() if said == _USED]
+        used = [name for name, said in reasons().items() if said == _USED]
         values: dict[str, object] = {
             **numbers(result), 'ms': ms, 'keyframe': result.keyframe, 'carried': result.carried,
             'prior': ', '.join(['constant velocity', *used]),

@@ -15,7 +15,7 @@ from ...core.tracking.result import TrackResult
 from ...core.tracking.tracker import Tracker
 from ..messages.clouds import point_rows, write_cloud
 from ..messages.images import header
-from ..transport import RELIABLE
+from ..transport import sensor_qos
 
 
 class LivePoints:
@@ -24,7 +24,7 @@ class LivePoints:
     def __init__(self, node: Node, rate_hz: float) -> None:
         """Advertise the topic."""
         self._rate_hz = rate_hz
-        self._points = node.create_publisher(PointCloud2, '~/points', RELIABLE)
+        self._points = node.create_publisher(PointCloud2, '~/points', sensor_qos('reliable'))
         self._due_s = 0.0
 
     def publish(

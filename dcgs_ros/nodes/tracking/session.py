@@ -309,10 +309,6 @@ class TrackingSession:
         tracker = self.tracker
         return tracker is not None and tracker.searching
 
-    def priors(self, stamp_ns: int) -> dict[str, str]:
-        """Return for each sensor beside the camera 'used', or why it is not, at a stamp."""
-        return {} if self.tracker is None else self.tracker.priors.reasons(stamp_ns)
-
     def figures(self) -> dict[str, Any]:
         """Return the sizes of the map and the figures of the last frame, for diagnostics."""
         tracker, result = self.tracker, self.result

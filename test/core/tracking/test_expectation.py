@@ -117,6 +117,19 @@ class Recogniser:
         return [self._found]
 
 
+def test_where_places_are_known_by_their_looks_depth_alone_is_not_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Though it is found there by it: one corner may be like another."""
+    for knows in (False, True):
+        one, given = lost_in_the_map(), again(3, 33_000_000)
+        one.recogniser = Recogniser(FAR @ FAR)
+        monkeypatch.setattr(one.recogniser, 'knows', lambda _, knows=knows: knows)
+        assert one.expect(ExpectedPlace(true_pose(given[0]), SURE))
+        states = {one.track(frame).state for frame in given}
+        assert states == {LOST} if knows else FOUND in states
+
+
 @pytest.mark.parametrize(('aside_m', 'tried'), [(0.3, 1), (3.0, 0)])
 def test_what_a_frame_looks_like_counts_within_the_place(aside_m: float, tried: int) -> None:
     one, (frame,) = lost_in_the_map(), again(1)

@@ -44,7 +44,7 @@ def published(node: Node, state: TrackingState, listeners: int = 1) -> list[Any]
     info._publisher = SimpleNamespace(  # type: ignore[assignment]
         publish=sent.append, get_subscription_count=lambda: listeners
     )
-    info.publish(result_in(state), 12.5, PRIORS)
+    info.publish(result_in(state), 12.5, lambda: PRIORS)
     return sent
 
 

@@ -1,18 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Readings of other sensors on their way to the thread that tracks; no ROS in it."""
+"""Readings of other sensors, taken by the thread that tracks; no ROS in it."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from heapq import merge
 
 from ...core.priors.readings import Reading
 
-_WAIT_S = 0.02  # at most, of a frame for readings of its time: they are smaller than images
+_WAIT_S, _POLL_S = (
+    0.02,
+    0.002,
+)  # at most, of a frame for readings of its time: they are smaller than images
 _LIVELY_S = 0.1  # since its last reading: a sensor that is silent for longer is not waited for
 _NEAR_NS = 200_000_000  # that readings lag: waiting for those that lag more is of no use
 _KEPT = 2000  # while no frame comes: ten seconds at 200 Hz
@@ -27,26 +29,27 @@ class ReadingQueue:
         self._waiting = {kind: deque[Reading](maxlen=_KEPT) for kind in reach_ns}
         self._newest_ns: dict[str, int] = {}
         self._came_s: dict[str, float] = {}  # monotonic
-        self._changed = threading.Condition()
 
     def put(self, kind: str, reading: Reading) -> None:
-        """Add a reading; return at once."""
-        with self._changed:
-            self._waiting[kind].append(reading)
-            self._newest_ns[kind] = reading.stamp_ns
-            self._came_s[kind] = time.monotonic()
-            self._changed.notify()
+        """Add a reading."""
+        self._waiting[kind].append(reading)
+        self._newest_ns[kind] = reading.stamp_ns
+        self._came_s[kind] = time.monotonic()
 
-    def take(self, stamp_ns: int) -> list[Reading]:
+    def take(self, stamp_ns: int, receive: Callable[[], None]) -> list[Reading]:
         """Return what has come, of each kind as it came, merged by stamp.
 
-        Before that, wait a moment for the readings up to a frame's stamp.
+        `receive` puts what is there by now; it is called again for a moment while readings up to a
+        frame's stamp are to come.
         """
-        with self._changed:
-            self._changed.wait_for(lambda: not self._awaits(stamp_ns), _WAIT_S)
-            readings = list(merge(*self._waiting.values(), key=lambda one: one.stamp_ns))
-            for waiting in self._waiting.values():
-                waiting.clear()
+        end_s = time.monotonic() + _WAIT_S
+        receive()
+        while self._awaits(stamp_ns) and time.monotonic() < end_s:
+            time.sleep(_POLL_S)
+            receive()
+        readings = list(merge(*self._waiting.values(), key=lambda one: one.stamp_ns))
+        for waiting in self._waiting.values():
+            waiting.clear()
         return readings
 
     def _awaits(self, stamp_ns: int) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
@@ -27,7 +28,7 @@ from ..transport import sensor_qos
 from .extrinsics import WHO_KNOWS, given_extrinsics, known_extrinsics, parse_pose
 from .reading_queue import ReadingQueue
 
-_DEPTH = 200  # messages of a sensor that wait: a second of an IMU
+_DEPTH = 200  # messages of a sensor that wait for the next frame: a second of an IMU
 # One interval of each, at 200 and 50 Hz; for gravity, by the second, no frame waits.
 _REACH_NS = {'gyro': 5_000_000, 'gravity': 1_000_000_000, 'wheels': 20_000_000}
 # Where each comes alone, beside the topic of both, and how it is read.
@@ -40,10 +41,25 @@ _TF_WAIT_S, _TF_POLL_S = 0.02, 0.002  # of a frame, for odometry of its stamp by
 _LIVELY_NS = 200_000_000  # since the last such odometry: for one that has ended nobody waits
 
 
+class _NotSpun(CallbackGroup):
+    """Subscriptions whose messages no executor takes: at 200 Hz that is a quarter of a core."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return False."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Return False."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing."""
+
+
 class RobotSensors:
     """What an IMU and wheels measure, for the `priors` of a tracker.
 
-    All but the callbacks and `reasons` belongs to the thread that tracks.
+    All but `reasons` belongs to the thread that tracks, which takes the messages too.
     """
 
     def __init__(
@@ -60,6 +76,8 @@ class RobotSensors:
         self._camera_to_imu = parse_pose('node.camera_to_imu', settings.node.camera_to_imu)
         self._queue = ReadingQueue(_REACH_NS)
         self._topics: dict[str, list[str]] = {}  # of each sensor
+        self._group = _NotSpun()
+        self._subscriptions: list[tuple[Any, Callable[[Any], None]]] = []
         self._imu_frame = ''
         self._base_frame = settings.node.base_frame
         self._due_s = 0.0  # when TF is asked again
@@ -96,9 +114,20 @@ class RobotSensors:
         self, type_: type, topic: str, callback: Callable[[Any], None], sensors: list[str]
     ) -> None:
         qos = sensor_qos('best_effort', _DEPTH)  # works with publishers of both kinds
-        name = self._node.create_subscription(type_, topic, callback, qos).topic_name
+        subscription = self._node.create_subscription(
+            type_, topic, callback, qos, callback_group=self._group
+        )
+        self._subscriptions.append((subscription, callback))
         for sensor in sensors:
-            self._topics.setdefault(sensor, []).append(name)
+            self._topics.setdefault(sensor, []).append(subscription.topic_name)
+
+    def _receive(self) -> None:
+        """Take the messages that have come."""
+        for subscription, callback in self._subscriptions:
+            handle = subscription.handle
+            with handle:
+                while (taken := handle.take_message(subscription.msg_type, False)) is not None:
+                    callback(taken[0])
 
     def _on_imu(self, sensors: list[str], imu: Imu) -> None:
         for sensor in sensors:
@@ -123,12 +152,12 @@ class RobotSensors:
     def sense(self, stamp_ns: int, camera_frame: str) -> None:
         """Give the priors what was measured until a frame; to be called before it is tracked."""
         priors = self.priors
+        readings = self._queue.take(stamp_ns, self._receive) if self._topics else []
         if priors.unmounted and time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + _AGAIN_S
             self._mount(camera_frame)
-        if self._topics:
-            for reading in self._queue.take(stamp_ns):
-                priors.sense(reading)
+        for reading in readings:
+            priors.sense(reading)
         if self._by_tf:
             pose = self._pose_by_tf(stamp_ns)
             if pose is not None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -39,6 +40,13 @@ T_BASE_CAM = se3.exp(np.array([0.1, 0.0, 0.2, 0.3, -1.2, 0.4]))
 Change = Callable[[ImuSample], ImuSample | None]
 
 
+class Handle(nullcontext[None]):
+    """Has no message: those of a test go to the callback."""
+
+    def take_message(self, type_: type, raw: bool) -> None:
+        return None
+
+
 class Node:
     """Keeps the callbacks of subscriptions."""
 
@@ -48,10 +56,13 @@ class Node:
     def resolve_topic_name(self, name: str) -> str:
         return f'/{name}'
 
-    def create_subscription(self, _: type, topic: str, callback: Any, qos: Any) -> Any:
+    def create_subscription(
+        self, _: type, topic: str, callback: Any, qos: Any, callback_group: Any
+    ) -> Any:
+        assert not callback_group.can_execute(None)
         topic = topic if topic.startswith('/') else f'/{topic}'
         self.heard[topic] = callback
-        return SimpleNamespace(topic_name=topic)
+        return SimpleNamespace(topic_name=topic, handle=Handle(), msg_type=None)
 
     def count_publishers(self, topic: str) -> int:
         return int(topic == ODOM)
@@ -329,7 +340,7 @@ def test_a_quantity_that_comes_alone_is_not_taken_for_two() -> None:
     both = write_imu(next(SOURCE.imu()))
     for topic, kinds in ((GYRO, ['AngularRate']), (ACCEL, ['SpecificForce'])):
         robot.node.heard[topic](both)
-        taken = robot.sensors._queue.take(0)
+        taken = robot.sensors._queue.take(0, lambda: None)
         assert [type(reading).__name__ for reading in taken] == kinds
     robot.node.heard[IMU](both)
-    assert len(robot.sensors._queue.take(0)) == 2
+    assert len(robot.sensors._queue.take(0, lambda: None)) == 2

@@ -243,6 +243,49 @@ class InfoArguments(_WithOptions):
 
 
 @dataclass(frozen=True)
+class GridArguments:
+    """Write the occupancy grid of a map as nav2's map_server reads it: a YAML file and a PGM."""
+
+    map: Annotated[Positional[Path], arg(metavar='MAP')]
+    """A map.dcgs."""
+
+    dest: Annotated[Positional[Path], arg(metavar='DEST.yaml')]
+    """New file; the image is written beside it."""
+
+    camera_height: Annotated[
+        float | None,
+        _optional(
+            'M',
+            'Height of the first camera above the floor, metres, for maps of `dcgs run`, whose '
+            "world is that camera. By default the world's z axis points up from the floor, as in "
+            'maps of the nodes with a base_frame on the floor.',
+        ),
+    ] = None
+
+    camera_pitch: Annotated[float, arg(metavar='DEG')] = 0.0
+    """With --camera-height: by how much that camera looked up, degrees; down is negative."""
+
+    settings: Annotated[
+        tuple[tuple[str, ...], ...],
+        arg(
+            name='set',
+            metavar='FIELD=VALUE ...',
+            help='Settings of the grid, e.g. --set resolution_m=0.1 max_height_m=0.6.',
+        ),
+        UseAppendAction,
+    ] = ()
+
+    @property
+    def overrides(self) -> dict[str, str]:
+        """The settings by name; raises `UsageError` for a text without '='."""
+        texts = [text for group in self.settings for text in group]
+        for text in texts:
+            if '=' not in text:
+                raise UsageError(f'--set {text}: not FIELD=VALUE')
+        return {name: value for name, _, value in (text.partition('=') for text in texts)}
+
+
+@dataclass(frozen=True)
 class ConvertArguments(_WithOptions):
     """Convert a sequence to a rosbag2 with a RealSense's topics or to a TUM folder, or a map.
 

@@ -17,6 +17,7 @@ from ..core.errors import DcgsError
 from .arguments import (
     ConvertArguments,
     EvaluateArguments,
+    GridArguments,
     InfoArguments,
     RenderArguments,
     RunArguments,
@@ -28,6 +29,7 @@ VERBS: dict[str, Any] = {
     'render': RenderArguments,
     'info': InfoArguments,
     'convert': ConvertArguments,
+    'grid': GridArguments,
 }
 _DESCRIPTION = 'Dual Covariance Gaussian Splatting SLAM. `dcgs --version` prints the version.'
 _INTERRUPTED = 130  # 128 + SIGINT, as in shells

@@ -200,6 +200,7 @@ class MapperNode(ManagedNode):
     def _correct(self, correction: Correction, epoch: int) -> None:
         """Move the map; its changes are published when they are due."""
         if self._session.correct(correction, epoch):
+            self._navigation.correct()
             self._outputs.keyframes(self._session.mapper)
 
     def _render(self, pose: PoseStamped) -> None:

@@ -36,6 +36,7 @@ from .tracking.initial_pose import InitialPose
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
 from .tracking.known_map import KnownMap, preferred, save
+from .tracking.live_points import LivePoints
 from .tracking.mapper_subscriber import MapperSubscriber
 from .tracking.outputs import TrackerOutputs
 from .tracking.pairing import ImagePair
@@ -72,6 +73,7 @@ class TrackerNode(ManagedNode):
         settings = self._params.settings
         node_settings = settings.node
         self._outputs = TrackerOutputs(self, node_settings, self._warn)
+        self._points = LivePoints(self, node_settings.points_rate_hz)
         self._camera = CameraSubscriber(
             self, node_settings, self._warn, self._outputs.lookup, self._reporter.inform
         )
@@ -225,6 +227,8 @@ class TrackerNode(ManagedNode):
             self._sender.forget()
         if result.state is not TrackingState.LOST:
             self._outputs.publish(result, to_base)
+            assert session.tracker is not None
+            self._points.publish(frame, result, session.tracker, camera_frame)
         elif session.searching:
             self._outputs.lose()
         for packet in session.packets(frame, result, camera_frame):

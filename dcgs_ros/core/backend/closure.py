@@ -90,7 +90,7 @@ class Closures:
         self._seen_again = None if like is None else (k, like)
         self._clouds[k] = cloud
         if features is None:
-            features = extract(frame, camera, config.sensor, moved)
+            features = extract(frame, camera, config.sensor, moved, config.self_mask)
         self.places.add(k, features, is_new=like is None)
 
     def _leave_out(self) -> None:

@@ -237,10 +237,15 @@ class Consistency:
 
 
 def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> float:
-    """Return how many views the keyframes have: one that is near another counts in part."""
+    """Return how many views the keyframes have: one that is near an earlier one counts in part."""
     T = poses[sorted(set(keyframes))]
-    between = (_apart(T[k], T[:k]).min(initial=1.0) for k in range(len(T)))
-    return float(sum(between))
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    far = np.linalg.norm(t[:, None] - t, axis=2)
+    cosines = 0.5 * (np.einsum('aij,bij->ab', R, R) - 1.0)
+    turned = np.arccos(np.clip(cosines, -1.0, 1.0))
+    apart = np.maximum(far / _VIEW_M, turned / _VIEW_RAD)
+    earlier = np.tri(len(T), k=-1, dtype=np.bool_)
+    return float(apart.min(axis=1, initial=1.0, where=earlier).sum())
 
 
 def _views_for(sigma_m: float) -> float:
@@ -268,13 +273,6 @@ def _largest_sigma(covariance: NDArray[np.float64]) -> float:
     if not np.isfinite(covariance).all():
         return np.inf
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-
-
-def _apart(one: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far a pose (4, 4) is from others (N, 4, 4), in (N,) views."""
-    xi = np.array([se3.log(T) for T in se3.inverse(one) @ others]).reshape(-1, 6)
-    far, turned = (np.linalg.norm(part, axis=1) for part in (xi[:, :3], xi[:, 3:]))
-    return np.asarray(np.maximum(far / _VIEW_M, turned / _VIEW_RAD))
 
 
 def _moved(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..frame import RgbdFrame
+from ..self_mask import covered
 from ..sensor import SensorNoise
 from ..tracking.back_projection import back_projected, depth_at, in_range
 from ..tracking.estimator import to_grey
@@ -51,14 +52,18 @@ def extract(
     camera: PinholeCamera,
     sensor: SensorNoise,
     T_cam_cam_at_depth: NDArray[np.float64] | None = None,
+    self_mask: str = '',
 ) -> Features:
     """Return the strongest corners of each part of an image.
 
     `T_cam_cam_at_depth` (4, 4) is the camera at depth's instant to colour's, by default the same.
+    `self_mask` is `Config`'s.
     """
     grey = to_grey(frame.color)
     orb = _orb()
-    corners = _spread(orb.detect(grey, None), grey.shape)
+    mask = covered(self_mask, *grey.shape[::-1])
+    seen = None if mask is None else (~mask).astype(np.uint8)
+    corners = _spread(orb.detect(grey, seen), grey.shape)
     corners, descriptors = orb.compute(grey, corners)
     if descriptors is None:
         descriptors = np.empty((0, 32), np.uint8)

@@ -106,7 +106,8 @@ class Places:
 
         A dozen features that agree are enough, as the depth has to agree with the map as well.
         """
-        features = extract(frame, self._camera, self._config.sensor)
+        config = self._config
+        features = extract(frame, self._camera, config.sensor, self_mask=config.self_mask)
         found = []
         for keyframe in self.candidates(features, _TRIED):
             then, alignment = self._features[keyframe], self.align(keyframe, features)

@@ -61,8 +61,8 @@ class TrackerNodeSettings(Stage):
     )
     imu_topic: str = described(
         'camera/camera/imu',
-        'Topic of the IMU for priors.gyro; also listened to are gyro/sample and accel/sample '
-        'beside it, as realsense2_camera names them.',
+        'Topic of the IMU for priors.gyro and priors.gravity; also listened to are gyro/sample '
+        'and accel/sample beside it, as realsense2_camera names them, with parallel axes.',
     )
     camera_to_imu: str = described(
         'auto',
@@ -128,6 +128,13 @@ class TrackerNodeSettings(Stage):
         100000,
         'Largest number of poses in the path; of a longer one every 2nd, 4th ... is kept.',
     )
+    points_rate_hz: float = ranged(
+        10.0,
+        0,
+        60,
+        'Largest rate at which the depth of tracked frames is published as points while there are '
+        'subscribers, hertz; 0: never.',
+    )
     keyframe_memory_mb: float = ranged(
         300.0,
         1,
@@ -186,10 +193,17 @@ class MapperNodeSettings(Stage):
         'hertz; 0: never.',
     )
     grid_rate_hz: float = ranged(
-        1.0, 0, 30, 'Largest rate at which the grid is published where it changed; 0: no grid.'
+        1.0,
+        0,
+        30,
+        'Largest rate at which the grid is published where it has changed, hertz; 0: there '
+        'is none.',
     )
     obstacles_rate_hz: float = ranged(
-        1.0, 0, 30, 'Rate at which obstacles are published while there are subscribers; 0: never.'
+        1.0,
+        0,
+        30,
+        'Rate at which obstacles are published while there are subscribers, hertz; 0: never.',
     )
     base_frame: str = described(
         'camera_link', 'Frame of the robot, for grid.self_box and the range of obstacles.'

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass, field
 
 from ..sensor import SensorNoise
+from .outlines import polygons
 from .presets import Ablation
 from .schema import Stage, described, override, ranged
 
@@ -212,6 +213,9 @@ class PriorsConfig(Stage):
     """Sensors beside the camera that tell its motion; they are off, so that images stand alone."""
 
     gyro: bool = described(False, "Whether the camera's rotation is predicted by a gyro.")
+    gravity: bool = described(
+        False, 'Whether roll and pitch are held from drifting by an IMU, whose gyro is used too.'
+    )
     wheels: bool = described(False, "Whether the camera's motion is predicted by wheel odometry.")
     planar_m: float | None = ranged(
         None,
@@ -223,6 +227,11 @@ class PriorsConfig(Stage):
     planar_deg: float = ranged(
         0.2, 0.01, 45, 'With planar_m: standard deviation of its roll and pitch, degrees.'
     )
+
+    @property
+    def needs_gyro(self) -> bool:
+        """Whether a gyro is used: it carries on what the accelerometer tells of up."""
+        return self.gyro or self.gravity
 
 
 @dataclass(frozen=True)
@@ -350,6 +359,12 @@ class Config(Stage):
     threads: int | None = ranged(
         None, 1, 1024, 'Threads of the kernels; auto: one less than the number of cores.'
     )
+    self_mask: str = described(
+        '',
+        "Parts of the robot in the image, of which nothing is used: a polygon's corners as shares "
+        'of width and height, such as [[0.3, 0.8], [0.7, 0.8], [0.7, 1], [0.3, 1]], or a list of '
+        'polygons; empty: none.',
+    )
     sensor: SensorNoise = field(default_factory=SensorNoise)
     cloud: CloudConfig = field(default_factory=CloudConfig)
     landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
@@ -360,6 +375,11 @@ class Config(Stage):
     backend: BackendConfig = field(default_factory=BackendConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     rates: RatesConfig = field(default_factory=RatesConfig)
+
+    def __post_init__(self) -> None:
+        """Check the ranges, and the polygons."""
+        super().__post_init__()
+        polygons(self.self_mask)
 
     def scaled_to(self, width: int, height: int) -> Config:
         """Return the settings for images of this size, in pixels.

@@ -18,6 +18,7 @@ from ..kernels.workers import Workers, cores
 from ..keyframe import Correction, Keyframe, KeyframePose, MapUpdate, PosedFrame
 from ..render import make_renderer
 from ..render.renderer import Renderer, Rendering, View
+from ..self_mask import covered
 from . import exposure
 from .corrections import Corrections
 from .exposure import Exposure
@@ -75,7 +76,8 @@ class Mapper:
         self.poisoned = 0  # Gaussians dropped because a parameter was not finite
         self._renderer, self._workers = renderer or make_renderer(workers), workers
         self._strategy = strategy or DefaultDensification()
-        self._rectify = Rectifier(camera)
+        mask = covered(config.self_mask, camera.width, camera.height)
+        self._rectify = Rectifier(camera, mask)
         settings = config.mapping
         self._losses = {
             shrink: ImageLoss(

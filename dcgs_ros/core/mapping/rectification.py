@@ -36,14 +36,20 @@ class Images:
 class Rectifier:
     """Removes the distortion of images by resampling; the intrinsics stay the same.
 
-    `valid` (H, W) are the pixels of the undistorted image that the distorted one covers.
+    `valid` (H, W) are the pixels of the undistorted image that the distorted one covers,
+    but for the robot's own parts.
     """
 
-    def __init__(self, camera: PinholeCamera) -> None:
-        """Compute the map of pixels, if the camera has distortion."""
+    def __init__(self, camera: PinholeCamera, covered: NDArray[np.bool_] | None = None) -> None:
+        """Compute the map of pixels, if the camera has distortion.
+
+        `covered` (H, W) are pixels of the distorted image that show the robot itself.
+        """
         self._camera = camera
         self._maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self.valid = np.ones((camera.height, camera.width), np.bool_)
+        if covered is not None:
+            self.valid = ~covered
         if not any(camera.distortion):
             return
         u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
@@ -51,7 +57,9 @@ class Rectifier:
         pixels = camera.project(np.stack(rays, axis=-1).reshape(-1, 3)).reshape(*u.shape, 2)
         self._maps = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
         limits = np.array([camera.width - 1, camera.height - 1])
-        self.valid = np.all((pixels >= 0) & (pixels <= limits), axis=-1)
+        there = np.all((pixels >= 0) & (pixels <= limits), axis=-1)
+        valid = cv2.remap(self.valid.astype(np.uint8), *self._maps, cv2.INTER_NEAREST)
+        self.valid = there & (valid > 0)
 
     def __call__(
         self, frame: RgbdFrame, T_cam_cam_at_depth: NDArray[np.float64] | None = None

@@ -83,7 +83,7 @@ class Scanner:
         across = config.resolution_m / spacing  # points along a voxel's side
         keep = (counts >= np.square(_SUPPORT * across)) | ~hits
         ends = np.round(points[keep] / _MM).astype(np.int16)
-        return Scan(view, T_map_cam, ends, hits[keep])
+        return Scan(view, T_map_cam.copy(), ends, hits[keep])
 
 
 def _range_m(sensor: SensorNoise, sigma_m: float) -> float:

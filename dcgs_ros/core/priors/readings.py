@@ -26,6 +26,14 @@ class AngularRate:
 
 
 @dataclass(frozen=True)
+class SpecificForce:
+    """One measurement of an accelerometer."""
+
+    stamp_ns: int
+    force: NDArray[np.float64]  # (3,) m/s^2, in the IMU's frame: at rest it points up
+
+
+@dataclass(frozen=True)
 class BasePose:
     """One pose of the base by its wheels, in a frame that drifts but does not step."""
 
@@ -33,6 +41,9 @@ class BasePose:
     T_odom_base: NDArray[np.float64]  # (4, 4); base: x forward, y left, z up
     # (3,) of a velocity as it is published: forward and left, (m/s)^2, turn, (rad/s)^2.
     variance: NDArray[np.float64] | None = None
+
+
+Reading = AngularRate | SpecificForce | BasePose
 
 
 @dataclass(frozen=True)

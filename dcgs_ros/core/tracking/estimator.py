@@ -19,6 +19,7 @@ from ..config.stages import Config
 from ..frame import RgbdFrame
 from ..keyframe import PosedFrame
 from ..priors.fusion import Sensed
+from ..self_mask import covered, seen_beside
 from .cloud import FrameCloud, sample_cloud
 from .factors import PointFactors, PosePrior
 from .gaussian_map import GaussianMap
@@ -241,9 +242,11 @@ def _followed(
     last = memory.image
     if last is None or not config.uses_landmarks:
         return memory.landmarks
-    return memory.landmarks.followed(
+    followed = memory.landmarks.followed(
         last.grey, grey, last.T_world_cam, prior.T_world_cam, camera, config.landmarks
     )
+    mask = covered(config.self_mask, camera.width, camera.height)
+    return followed[seen_beside(followed.pixels, mask)]
 
 
 def _measured(

@@ -19,7 +19,8 @@ from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
 from ..priors.motion_priors import MotionPriors
-from ..priors.readings import AngularRate, BasePose
+from ..priors.readings import Reading
+from ..self_mask import without_robot
 from .claims import Claim, Clocks, PoseClaims
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, to_grey
 from .expectation import ExpectedPlace
@@ -90,7 +91,7 @@ class Tracker:
         self._seen_ns = 0  # stamp of the last frame that was tracked
         self.threads = jit.set_threads(self._config.threads)
 
-    def sense(self, reading: AngularRate | BasePose) -> None:
+    def sense(self, reading: Reading) -> None:
         """Take what another sensor measured, before the frames that were taken later."""
         self.priors.sense(reading)
 
@@ -172,8 +173,8 @@ class Tracker:
         )  # fmt: skip
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
-        """Return the frame with its depth as the tracker believes it (`DepthBias`)."""
-        return self._map.depth_bias.corrected(frame)
+        """Return the frame with its depth as the tracker believes it, without the robot itself."""
+        return self._map.depth_bias.corrected(without_robot(frame, self.config.self_mask))
 
     def flush(self) -> tuple[Keyframe, ...]:
         """Hand over what no result has yet: the first keyframe, where no second frame came."""

@@ -55,6 +55,7 @@ class SyntheticSource:
         extras = {key: getattr(self.options, key) for key in SCENES[scene].extras}
         self._scenario = build_scenario(scene, seed, self.options.motion, **extras)
         self._path = self._scenario.motion.path(seed, self.options.speed)
+        self._mover = self._scenario.mover and self._scenario.mover(self._path)
         self._kind = SENSORS[str(self.options.sensor)]
         self._depth_camera: DepthCamera = self._kind.depth(seed)
         self._lag_phases = np.random.default_rng((seed, _LAG_STREAM)).uniform(0, 2 * np.pi, 3)
@@ -122,8 +123,13 @@ class SyntheticSource:
 
     @property
     def scene(self) -> Scene:
-        """What the camera sees."""
+        """What the camera sees, but for what moves."""
         return self._scenario.scene
+
+    def scene_at(self, stamp_ns: int) -> Scene:
+        """Return all that the camera sees at a time."""
+        there = self._mover and self._mover.at((stamp_ns - _START_NS) * 1e-9)
+        return self.scene if there is None else self.scene.beside(there)
 
     @property
     def _span_s(self) -> tuple[float, float]:
@@ -208,6 +214,6 @@ class SyntheticSource:
         color: bool,
         T_world_rows: NDArray[np.float64] | None = None,
     ) -> SceneView:
-        scene, pose = self._scenario.scene, self.pose(stamp_ns)
+        scene, pose = self.scene_at(stamp_ns), self.pose(stamp_ns)
         textures = build_textures()
         return cast(scene, textures, camera, pose, color=color, T_world_rows=T_world_rows)

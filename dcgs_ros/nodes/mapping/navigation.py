@@ -53,7 +53,6 @@ class Navigation:
         self._points = node.create_publisher(PointCloud2, 'obstacles', RELIABLE)
         self._mapper: Mapper | None = None  # whose map the grid is of
         self._grid: OccupancyMapper | None = None
-        self._revision = 0  # of the mapper's last correction that the grid has taken
         self._published: tuple[object, ...] = ()
         self._grid_s = self._points_s = time.monotonic()
 
@@ -62,20 +61,24 @@ class Navigation:
         warm_up_grid(self._settings.grid)
 
     def follow(self, mapper: Mapper | None, camera_frame: str) -> bool:
-        """Take the views that are new, and corrected poses; return whether more is to be done."""
+        """Take the views that are new; return whether more is to be done."""
+        if mapper is not self._mapper:
+            self._mapper, self._grid = mapper, None
         if self._settings.node.grid_rate_hz <= 0 or mapper is None:
             return False
-        if mapper is not self._mapper or self._grid is None:
-            self._mapper, self._revision = mapper, mapper.revision
+        if self._grid is None:
             self._grid = OccupancyMapper(mapper.camera, mapper.config.sensor, self._settings.grid)
         grid, views = self._grid, mapper.views
-        if mapper.revision != self._revision and grid.views:
-            grid.move(np.array([view.T_tracked for view in views[: grid.views]]))
-        self._revision = mapper.revision
         T_base_cam = self._mounting.find(camera_frame)
         for view in views[grid.views : grid.views + _VIEWS]:
             grid.insert(view.depth_m, view.T_tracked, T_base_cam)
         return grid.work() or grid.views < len(views)
+
+    def correct(self) -> None:
+        """Move the views to where the mapper has them by now."""
+        if self._grid is not None and self._mapper is not None and self._grid.views:
+            views = self._mapper.views[: self._grid.views]
+            self._grid.move(np.array([view.T_tracked for view in views]))
 
     def publish_when_due(self, seen: Seen) -> None:
         """Publish the grid where it has changed, and obstacles if subscribed to."""

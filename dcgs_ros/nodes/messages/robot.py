@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import Imu
 
-from ...core.priors.readings import AngularRate, BasePose
+from ...core.priors.readings import AngularRate, BasePose, SpecificForce
 from ...datasets.readings import base_pose
 from ...datasets.source import ImuSample, OdometrySample
 from ...io.ros_images import MessageError, stamp_ns
@@ -30,6 +30,12 @@ def read_rate(imu: Imu) -> AngularRate | None:
     """Return the angular rate, None where the message has none; raises `MessageError`."""
     rate = _vector(imu.angular_velocity, imu.angular_velocity_covariance)
     return None if rate is None else AngularRate(stamp_ns(imu.header.stamp), rate)
+
+
+def read_force(imu: Imu) -> SpecificForce | None:
+    """Return the specific force, None where the message has none; raises `MessageError`."""
+    force = _vector(imu.linear_acceleration, imu.linear_acceleration_covariance)
+    return None if force is None else SpecificForce(stamp_ns(imu.header.stamp), force)
 
 
 def read_odometry(odometry: Odometry) -> BasePose:

@@ -10,9 +10,7 @@ from collections import deque
 from collections.abc import Mapping
 from heapq import merge
 
-from ...core.priors.readings import AngularRate, BasePose
-
-Reading = AngularRate | BasePose
+from ...core.priors.readings import Reading
 
 _WAIT_S = 0.02  # at most, of a frame for readings of its time: they are smaller than images
 _LIVELY_S = 0.1  # since its last reading: a sensor that is silent for longer is not waited for

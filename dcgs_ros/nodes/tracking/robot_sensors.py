@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,17 +17,24 @@ from sensor_msgs.msg import Imu
 
 from ...core.config.nodes import TrackerSettings
 from ...core.config.schema import ConfigError
+from ...core.config.stages import PriorsConfig
 from ...core.errors import DcgsError
 from ...core.priors.motion_priors import MotionPriors
-from ...core.priors.readings import BasePose
-from ..messages.robot import read_odometry, read_rate
+from ...core.priors.readings import BasePose, Reading
+from ..messages.robot import read_force, read_odometry, read_rate
 from ..transforms import Transforms
 from ..transport import sensor_qos
 from .extrinsics import WHO_KNOWS, given_extrinsics, known_extrinsics, parse_pose
 from .reading_queue import ReadingQueue
 
 _DEPTH = 200  # messages of a sensor that wait: a second of an IMU
-_REACH_NS = {'gyro': 5_000_000, 'wheels': 20_000_000}  # one interval of each, at 200 and 50 Hz
+# One interval of each, at 200 and 50 Hz; for gravity, by the second, no frame waits.
+_REACH_NS = {'gyro': 5_000_000, 'gravity': 1_000_000_000, 'wheels': 20_000_000}
+# Where each comes alone, beside the topic of both, and how it is read.
+_IMU: dict[str, tuple[str, Callable[[Imu], Reading | None]]] = {
+    'gyro': ('gyro/sample', read_rate),
+    'gravity': ('accel/sample', read_force),
+}
 _AGAIN_S = 0.2  # between two questions to TF
 _TF_WAIT_S, _TF_POLL_S = 0.02, 0.002  # of a frame, for odometry of its stamp by TF
 _LIVELY_NS = 200_000_000  # since the last such odometry: for one that has ended nobody waits
@@ -59,10 +67,7 @@ class RobotSensors:
         self._said: dict[str, str] = {}
         self._by_tf = settings.priors.wheels and not settings.node.odometry_topic
         self._last_by_tf_ns: int | None = None
-        if settings.priors.gyro:
-            imu = node.resolve_topic_name(settings.node.imu_topic)
-            beside = imu.rpartition('/')[0]
-            self._subscribe('gyro', Imu, self._on_imu, imu, f'{beside}/gyro/sample')
+        self._listen_to_imu(settings.priors)
         if self._by_tf and settings.node.tf == 'odom_to_base':
             raise ConfigError(
                 'node.odometry_topic is empty: odometry is that of TF, which node.tf '
@@ -70,26 +75,41 @@ class RobotSensors:
             )
         if settings.priors.wheels and not self._by_tf:
             self._base_frame = ''  # as the messages have it
-            self._subscribe('wheels', Odometry, self._on_odometry, settings.node.odometry_topic)
+            topic = settings.node.odometry_topic
+            self._subscribe(Odometry, topic, self._on_odometry, ['wheels'])
+
+    def _listen_to_imu(self, config: PriorsConfig) -> None:
+        """Subscribe to both quantities on one topic, and to each on its own.
+
+        On its own topic the other one is zero.
+        """
+        wanted = {'gyro': config.needs_gyro, 'gravity': config.gravity}
+        sensors = [sensor for sensor in _IMU if wanted[sensor]]
+        imu = self._node.resolve_topic_name(self._settings.imu_topic)
+        if sensors:
+            self._subscribe(Imu, imu, partial(self._on_imu, sensors), sensors)
+        for sensor in sensors:
+            topic = f'{imu.rpartition("/")[0]}/{_IMU[sensor][0]}'
+            self._subscribe(Imu, topic, partial(self._on_imu, [sensor]), [sensor])
 
     def _subscribe(
-        self, sensor: str, type_: type, callback: Callable[[Any], None], *topics: str
+        self, type_: type, topic: str, callback: Callable[[Any], None], sensors: list[str]
     ) -> None:
         qos = sensor_qos('best_effort', _DEPTH)  # works with publishers of both kinds
-        self._topics[sensor] = [
-            self._node.create_subscription(type_, topic, callback, qos).topic_name
-            for topic in topics
-        ]
+        name = self._node.create_subscription(type_, topic, callback, qos).topic_name
+        for sensor in sensors:
+            self._topics.setdefault(sensor, []).append(name)
 
-    def _on_imu(self, imu: Imu) -> None:
-        try:
-            rate = read_rate(imu)
-        except DcgsError as error:
-            self._warn(f'imu refused: {error}')
-            return
-        if rate is not None:
-            self._imu_frame = imu.header.frame_id
-            self._queue.put('gyro', rate)
+    def _on_imu(self, sensors: list[str], imu: Imu) -> None:
+        for sensor in sensors:
+            try:
+                reading = _IMU[sensor][1](imu)
+            except DcgsError as error:
+                self._warn(f'imu refused: {error}')
+                return
+            if reading is not None:
+                self._imu_frame = imu.header.frame_id
+                self._queue.put(sensor, reading)
 
     def _on_odometry(self, odometry: Odometry) -> None:
         try:
@@ -131,7 +151,7 @@ class RobotSensors:
     def _mount(self, camera_frame: str) -> None:
         """Look for where the sensors are that have sent something."""
         missing, priors = self.priors.unmounted, self.priors
-        if 'gyro' in missing and (self._imu_frame or self._camera_to_imu is not None):
+        if missing.keys() & _IMU.keys() and (self._imu_frame or self._camera_to_imu is not None):
             T_cam_imu = self._camera_to_imu
             if T_cam_imu is None:
                 T_cam_imu = self._transforms.lookup(camera_frame, self._imu_frame)
@@ -156,10 +176,11 @@ class RobotSensors:
 
     def _why(self, sensor: str, camera_frame: str) -> str:
         """Return what is missing of a sensor whose place is not known."""
-        frame = self._imu_frame if sensor == 'gyro' else self._base_frame
+        inertial = sensor in _IMU
+        frame = self._imu_frame if inertial else self._base_frame
         if not frame:
             return 'no reading yet, or none that names its frame'
-        key = 'camera_to_imu' if sensor == 'gyro' else 'base_to_camera'
+        key = 'camera_to_imu' if inertial else 'base_to_camera'
         return (
             f'no TF from {frame} to {camera_frame}, so that it is not known where it is: '
             f'{WHO_KNOWS}, or set node.{key}'

@@ -64,7 +64,8 @@ def test_every_setting_survives_being_text(of_node: Any) -> None:
 def test_tracker_and_mapper_have_all_settings_of_a_run(of_node: Config) -> None:
     run, node = flatten(Config()), flatten(of_node)
     assert {key: node[key] for key in run} == run
-    assert all(key.startswith('node.') for key in node.keys() - run.keys())
+    own = ('node.', 'grid.', 'obstacles.')
+    assert all(key.startswith(own) for key in node.keys() - run.keys())
 
 
 @pytest.mark.parametrize('path', sorted((ROOT / 'config').glob('*.yaml')), ids=lambda p: p.stem)

@@ -167,6 +167,17 @@ def test_rays_longer_than_the_range_clear_up_to_it() -> None:
     assert value(grid.map, 2.02, 0.01) == UNKNOWN
 
 
+def test_ray_clears_up_to_where_its_end_may_be() -> None:
+    """Depth that is 8 cm too long, where its standard deviation is 5, does not clear the wall."""
+    grid = OccupancyMapper(CAMERA, SensorNoise(a_m=0.05, b_per_m=0.0), GridConfig(range_m=5.0))
+    grid.insert(depth_of(HERE, WALL), HERE)
+    farther: Box = ((2.08, -3.0, 0.0), (2.3, 3.0, 2.5))
+    for _ in range(10):
+        grid.insert(depth_of(HERE, farther), HERE)
+    assert value(grid.map, 2.02, 0.01) == OCCUPIED
+    assert value(grid.map, 1.9, 0.01) == FREE
+
+
 def test_the_robot_itself_is_no_obstacle() -> None:
     """What is within its box, which moves with the base, is not used."""
     T_base_cam = camera_at(0.1, 0.0, 0.6)

@@ -17,6 +17,7 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.priors.fusion import Sensed
+from dcgs_ros.core.priors.gravity import UpPrior
 from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.motion_priors import MotionPriors, PriorsError
 from dcgs_ros.core.priors.readings import AngularRate, BasePose, MotionFactor
@@ -280,3 +281,34 @@ def test_a_place_may_come_while_the_camera_is_tracked() -> None:
     sensed = priors.since(motion, FRAME_NS)
     assert sensed is not None and sensed.turn is not None and sensed.floor is not None
     np.testing.assert_allclose(sensed.floor.normal_equations(start).g, 0.0, atol=1e-9)
+
+
+def test_gravity_is_a_term_of_the_prior() -> None:
+    """The pose is drawn to where up is, as far as a hand is believed."""
+    up = np.array([0.0, -1.0, 0.0])
+    turned = se3.exp(np.array([0, 0, 0, 0.01, 0, 0]))[:3, :3]
+    hand = ConstantVelocity(np.eye(4), 0, np.zeros(6), 0.033).prior(FRAME_NS)
+    fused = Sensed(up=UpPrior(up, turned.T @ up, 1e-4)).fused(hand, np.eye(4), np.zeros(6))
+    np.testing.assert_allclose(se3.log(fused.T_world_cam)[3:], [0.01, 0, 0], atol=2e-4)
+    fused = Sensed(up=UpPrior(up, turned.T @ up, 10.0)).fused(hand, np.eye(4), np.zeros(6))
+    np.testing.assert_allclose(se3.log(fused.T_world_cam), 0.0, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_hand_held_camera_is_tracked_with_gravity() -> None:
+    source = SyntheticSource.from_address('synthetic:room?frames=120&sensor=d435i&seed=0')
+    config = override(Config(sensor=source.sensor), {'priors.gravity': True})
+    tracker = Tracker(source.camera, config, priors=priors_of(source, config.priors))
+    readings = Readings(source, config.priors)
+    for frame in source:
+        for reading in readings.until(frame.stamp_ns):
+            tracker.sense(reading)
+        result = tracker.track(frame)
+    start = source.pose(1_000_000_000_000)
+    up = start[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    seen, true = result.T_world_cam, se3.inverse(start) @ source.pose(result.stamp_ns)
+    angle = np.arccos(min((seen[:3, :3].T @ up) @ (true[:3, :3].T @ up), 1.0))
+    assert np.degrees(angle) < 0.3
+    assert tracker.priors.reasons(result.stamp_ns) == {'gyro': 'used', 'gravity': 'used'}
+    sensed = tracker._memory.sensed
+    assert sensed is not None and sensed.up is not None

@@ -132,6 +132,7 @@ def test_grid_follows_corrected_keyframes_and_is_not_sent_again_without_a_change
     moved = camera_at(0.32, 0.0, 0.6)
     stamps, sure = np.array([SECOND]), np.zeros((1, 6, 6))
     planner.mapper.correct(Correction(1, stamps, moved[None], sure, np.zeros(1, np.int32)))
+    planner.navigation.correct()
     planner.until(lambda: len(planner.grids) > 1, seen)
     grid = planner.grids[-1]
     assert value(grid, 2.02, 0.6) == FREE
@@ -174,13 +175,15 @@ def test_obstacles_are_opaque_in_the_band_in_range_and_not_the_robot(ros: None) 
         planner.close()
 
 
-def test_rate_of_zero_makes_no_grid(ros: None) -> None:
+def test_rate_of_zero_makes_no_grid_and_obstacles_all_the_same(ros: None) -> None:
     """It then costs nothing."""
     planner = Planner(MapperSettings(node=replace(NODE, grid_rate_hz=0.0)))
     try:
         planner.insert(HERE, depth_of(HERE, WALL))
         assert not planner.navigation.follow(planner.mapper, 'optical')
         assert planner.navigation._grid is None
+        planner.listen()
+        planner.until(lambda: planner.clouds, Seen('map', SECOND, 'optical', None))
     finally:
         planner.close()
 

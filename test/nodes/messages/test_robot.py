@@ -13,6 +13,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.datasets.source import ImuSample, OdometrySample
 from dcgs_ros.io.ros_images import MessageError
 from dcgs_ros.nodes.messages.robot import (
+    read_force,
     read_odometry,
     read_rate,
     write_imu,
@@ -31,10 +32,14 @@ def test_a_rate_comes_back() -> None:
     reading = read_rate(message)
     assert reading is not None and reading.stamp_ns == STAMP + 5
     np.testing.assert_array_equal(reading.rate, [0.01, -0.02, 3.0])
+    force = read_force(message)
+    assert force is not None and force.stamp_ns == STAMP + 5
+    np.testing.assert_array_equal(force.force, [0.1, -9.8, 0.3])
 
 
-def test_accelerations_alone_are_no_rate() -> None:
+def test_one_quantity_is_not_taken_for_the_other() -> None:
     assert read_rate(write_imu(ImuSample(STAMP, 'imu', (0.1, -9.8, 0.3), None))) is None
+    assert read_force(write_imu(ImuSample(STAMP, 'imu', None, (0.1, -9.8, 0.3)))) is None
 
 
 def test_a_base_pose_comes_back() -> None:

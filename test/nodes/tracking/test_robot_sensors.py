@@ -31,6 +31,7 @@ from dcgs_ros.nodes.tracking.session import TrackingSession
 
 CAMERA_FRAME = 'camera_color_optical_frame'
 IMU, GYRO, ODOM = '/camera/camera/imu', '/camera/camera/gyro/sample', '/odom'
+ACCEL = '/camera/camera/accel/sample'
 FRAMES = 40  # two windows of half a second
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal&speed=2')
 T_BASE_CAM = se3.exp(np.array([0.1, 0.0, 0.2, 0.3, -1.2, 0.4]))
@@ -130,6 +131,14 @@ def frames() -> tuple[RgbdFrame, ...]:
 def restored_threads() -> Iterator[None]:
     yield
     jit.set_threads(None)
+
+
+@pytest.mark.slow
+def test_gravity_is_used_with_the_gyro() -> None:
+    robot = Robot(priors__gravity=True)
+    assert robot.node.heard.keys() == {IMU, GYRO, ACCEL}
+    robot.drive()
+    assert robot.sensors.reasons() == {'gyro': 'used', 'gravity': 'used'}
 
 
 def stopped(seconds: float) -> Change:
@@ -296,3 +305,16 @@ def test_what_is_no_measurement_is_refused_and_named() -> None:
 def test_nothing_is_subscribed_to_unless_it_is_asked_for() -> None:
     assert not Robot().node.heard
     assert Robot().sensors.reasons() == {}
+
+
+def test_a_quantity_that_comes_alone_is_not_taken_for_two() -> None:
+    """Drivers fill the other one with zeros."""
+    robot = Robot(priors__gravity=True)
+    assert robot.node.heard.keys() == {IMU, GYRO, ACCEL}
+    both = write_imu(next(SOURCE.imu()))
+    for topic, kinds in ((GYRO, ['AngularRate']), (ACCEL, ['SpecificForce'])):
+        robot.node.heard[topic](both)
+        taken = robot.sensors._queue.take(0)
+        assert [type(reading).__name__ for reading in taken] == kinds
+    robot.node.heard[IMU](both)
+    assert len(robot.sensors._queue.take(0)) == 2

@@ -60,12 +60,16 @@ _CORRIDOR = (
     Variant('wheels + gyro', _AHEAD | _WHEELS | _GYRO),
     Variant('both, slip of 5 %', _AHEAD | _WHEELS | _GYRO, 0.05),
 )  # fmt: skip
+_LEVEL = tuple(
+    Variant(name, _AHEAD | _WHEELS | {f'priors.{name}': True}) for name in ('gyro', 'gravity')
+)
 CASES = (
     Case('corridor of 28 m', 'corridor?frames=940&speed=2', _CORRIDOR),
     Case(
         'turns, 2 s covered', 'room?motion=turning&sensor=d435i_measured&frames=400',
         (_ALONE, _WITH_GYRO), (215, 275),
     ),
+    Case('tilt, 18 m of it', 'corridor?frames=600&speed=2', _LEVEL),
     Case('fast, d435i_measured', 'room?sensor=d435i_measured&speed=2.5', (_ALONE, _WITH_GYRO)),
     Case('fast, d435i', 'room?sensor=d435i&speed=2.5', (_ALONE, _WITH_GYRO)),
     Case('fast, kinect', 'room?speed=2.5', (_ALONE, _WITH_GYRO)),
@@ -166,10 +170,21 @@ def _row(case: Case, seed: int, source: SyntheticSource, run: Run) -> str:
             f'; as the lens is uncovered {100 * np.linalg.norm(last[:3]):.1f} cm, '
             f'{np.degrees(np.linalg.norm(last[3:])):.2f} deg off'
         )
+    if case.name.startswith('tilt'):
+        tilts = np.array([_tilt_deg(T_first, r.T_world_cam, source, r.stamp_ns) for r in results])
+        text += f'; tilt {tilts.mean():.2f} deg on average, {tilts.max():.2f} at most'
     if run.bias_rad_s:
         at = run.bias_rad_s[min(300, len(run.bias_rad_s)) - 1]
         text += f'; bias after 10 s {np.round(1e3 * at, 1)} mrad/s'
     return text
+
+
+def _tilt_deg(
+    T_first: NDArray[np.float64], T: NDArray[np.float64], source: SyntheticSource, stamp_ns: int
+) -> float:
+    """Return by how much up is elsewhere in the image of a pose (4, 4) than in truth."""
+    seen, true = T[:3, :3].T @ T_first[:3, 2], source.pose(stamp_ns)[:3, :3].T[:, 2]
+    return float(np.degrees(np.arccos(min(float(seen @ true), 1.0))))
 
 
 def main() -> None:

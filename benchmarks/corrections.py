@@ -21,6 +21,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.backend.back_end import BackEnd
 from dcgs_ros.core.backend.closure import Loop
 from dcgs_ros.core.backend.edges import Edge, information_of, odometry_edges
+from dcgs_ros.core.backend.features import Features
 from dcgs_ros.core.backend.keyframe_graph import warm_up
 from dcgs_ros.core.backend.places import Places
 from dcgs_ros.core.backend.pose_graph import optimise
@@ -51,7 +52,12 @@ class Given:
         self.places = Places(_CAMERA, Config())
         self._loops = loops
 
-    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
+    def add(
+        self,
+        keyframe: Keyframe,
+        camera: PinholeCamera | None = None,
+        features: Features | None = None,
+    ) -> None:
         """Keep nothing."""
 
     def close(self, keyframe: int) -> list[Loop]:

@@ -26,6 +26,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.backend.back_end import BackEnd
 from dcgs_ros.core.backend.closure import Closures
 from dcgs_ros.core.backend.consistency import Loop
+from dcgs_ros.core.backend.features import Features
 from dcgs_ros.core.backend.warmup import warm_up
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
@@ -66,9 +67,14 @@ class RecordedFinder:
         """As `Closures`."""
         return self._closures.places
 
-    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
+    def add(
+        self,
+        keyframe: Keyframe,
+        camera: PinholeCamera | None = None,
+        features: Features | None = None,
+    ) -> None:
         """As `Closures`."""
-        self._closures.add(keyframe, camera)
+        self._closures.add(keyframe, camera, features)
 
     def close(self, keyframe: int) -> Sequence[Loop]:
         """As `Closures`."""

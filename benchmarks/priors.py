@@ -23,7 +23,7 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.loop_closing import ClosingInLockstep, ClosingMode, NoClosing
-from dcgs_ros.core.priors.readings import AngularRate, BasePose
+from dcgs_ros.core.priors.readings import AngularRate, BasePose, Reading
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.readings import Readings, priors_of
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
@@ -88,10 +88,12 @@ class Spoiler:
         """Begin where the wheels begin."""
         self._slip, self._last, self._T = slip, np.eye(4), np.eye(4)
 
-    def __call__(self, reading: AngularRate | BasePose) -> AngularRate | BasePose:
+    def __call__(self, reading: Reading) -> Reading:
         """Return the next reading, spoilt."""
         if isinstance(reading, AngularRate):
             return replace(reading, rate=reading.rate + _BIAS)
+        if not isinstance(reading, BasePose):
+            return reading
         step = se3.log(se3.inverse(self._last) @ reading.T_odom_base)
         step[:3] *= 1.0 + self._slip
         self._last, self._T = reading.T_odom_base, self._T @ se3.exp(step)

@@ -44,6 +44,12 @@ _ARGUMENTS = [
         'base_frame', default_value='', description='Frame whose pose the tracker publishes.'
     ),
     DeclareLaunchArgument(
+        'imu_topic', default_value='', description='Topic of the IMU, which is used then.'
+    ),
+    DeclareLaunchArgument(
+        'odom_topic', default_value='', description='Topic of wheel odometry, likewise.'
+    ),
+    DeclareLaunchArgument(
         'tf', default_value='', description='Transform that the tracker broadcasts.'
     ),
     DeclareLaunchArgument(
@@ -58,7 +64,10 @@ _ARGUMENTS = [
 def generate_launch_description() -> LaunchDescription:
     """Return what `ros2 launch` is to start."""
     slam = Path(get_package_share_directory('dcgs_ros'), 'launch', 'slam.launch.py')
-    passed_on = ('mapper', 'rviz', 'params', 'namespace', 'base_frame', 'tf', 'use_sim_time')
+    passed_on = (
+        'mapper', 'rviz', 'params', 'namespace', 'imu_topic', 'odom_topic', 'base_frame', 'tf',
+        'use_sim_time',
+    )  # fmt: skip
     arguments = {name: LaunchConfiguration(name) for name in passed_on}
     arguments |= {'camera': 'none', 'reliability': 'reliable'}
     return LaunchDescription(

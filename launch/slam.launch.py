@@ -29,6 +29,11 @@ _TOPICS = {
     'camera/camera/color/image_raw': 'color_topic',
     'camera/camera/aligned_depth_to_color/image_raw': 'depth_topic',
     'camera/camera/color/camera_info': 'camera_info_topic',
+    'grid': 'grid_topic',
+}
+_SENSORS = {  # the tracker's parameters, and the priors that they are for
+    'imu_topic': ('node.imu_topic', 'priors.gyro'),
+    'odom_topic': ('node.odometry_topic', 'priors.wheels'),
 }
 _SHOWN = ('gaussian_map', 'render/color', 'dcgs_tracker/odometry', 'dcgs_tracker/path')
 _OWN_TF = [('/tf', 'tf'), ('/tf_static', 'tf_static')]  # within a namespace, as nav2 has it
@@ -54,7 +59,8 @@ _ARGUMENTS = [
     DeclareLaunchArgument(
         'params',
         default_value='',
-        description="Parameter file of tracker and mapper; by default the camera's.",
+        description='Parameter file of tracker and mapper, which has the last word after the '
+        "camera's.",
     ),
     DeclareLaunchArgument(
         'reliability',
@@ -77,10 +83,21 @@ _ARGUMENTS = [
             ('camera_info', 'the CameraInfo of colour'),
         )
     ),
+    *(
+        DeclareLaunchArgument(
+            name, default_value='', description=f'Topic of {what}, which is used then; {_DEFAULT}.'
+        )
+        for name, what in (('imu_topic', 'the IMU'), ('odom_topic', 'wheel odometry'))
+    ),
     DeclareLaunchArgument(
         'base_frame',
         default_value='',
         description=f'Frame whose pose is published, such as base_link; {_DEFAULT}.',
+    ),
+    DeclareLaunchArgument(
+        'grid_topic',
+        default_value='',
+        description='Topic of the occupancy grid, such as map for nav2; empty: grid.',
     ),
     DeclareLaunchArgument(
         'tf',
@@ -101,6 +118,8 @@ _D435I = {
     'enable_infra1': 'false',
     'enable_infra2': 'false',
 }
+# Both quantities on one topic, rates interpolated to the accelerations' stamps.
+_IMU = {'enable_gyro': 'true', 'enable_accel': 'true', 'unite_imu_method': '2'}
 _SIGTERM_S = '60'  # until SIGTERM: time to save a map at the end
 
 
@@ -120,15 +139,19 @@ def generate_launch_description() -> LaunchDescription:
 def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     names = (argument.name for argument in _ARGUMENTS)
     given = {name: LaunchConfiguration(name).perform(context) for name in names}
-    files = [given['params']] if given['params'] else []
-    if not files and given['camera'] != 'none':
-        files = [str(_CONFIG / f'{given["camera"]}.yaml')]
+    known = given['camera'] != 'none'
+    files = [str(_CONFIG / f'{given["camera"]}.yaml')] if known else []
+    files += [given['params']] if given['params'] else []
     simulated = [{'use_sim_time': True}] if given['use_sim_time'] == 'true' else []
     started: list[LaunchDescriptionEntity] = []
     if given['tracker'] == 'true':
         if given['camera'] == 'd435i':
-            started.append(_realsense(given['namespace']))
-        said = [{f'node.{name}': given[name]} for name in ('base_frame', 'tf') if given[name]]
+            started.append(_realsense(given['namespace'], bool(given['imu_topic'])))
+        said: list[dict[str, Any]] = [
+            {f'node.{name}': given[name]} for name in ('base_frame', 'tf') if given[name]
+        ]
+        for name, (topic, prior) in _SENSORS.items():
+            said += [{topic: given[name], prior: True}] if given[name] else []
         reliability = {'node.reliability': given['reliability']}
         started.append(_node('tracker', given, [reliability, *files, *said, *simulated]))
     if given['mapper'] == 'true':
@@ -146,7 +169,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def _remappings(given: dict[str, str]) -> list[tuple[str, str]]:
-    """Return those of the camera's topics, and in a namespace those of TF."""
+    """Return those of topics, and in a namespace those of TF."""
     topics = [(usual, given[name]) for usual, name in _TOPICS.items() if given[name]]
     return topics + (_OWN_TF if given['namespace'] else [])
 
@@ -161,12 +184,13 @@ def _shown(given: dict[str, str]) -> list[tuple[str, str]]:
     return [*topics, (f'/{color}', given['color_topic'] or color), *own_tf]
 
 
-def _realsense(namespace: str) -> LaunchDescriptionEntity:
+def _realsense(namespace: str, with_imu: bool) -> LaunchDescriptionEntity:
     share = Path(get_package_share_directory('realsense2_camera'))
     source = PythonLaunchDescriptionSource(str(share / 'launch' / 'rs_launch.py'))
+    arguments = _D435I | (_IMU if with_imu else {})
     if not namespace:
-        return IncludeLaunchDescription(source, launch_arguments=_D435I.items())
-    arguments = _D435I | {'camera_namespace': f'{namespace}/camera'}
+        return IncludeLaunchDescription(source, launch_arguments=arguments.items())
+    arguments |= {'camera_namespace': f'{namespace}/camera'}
     include = IncludeLaunchDescription(source, launch_arguments=arguments.items())
     return GroupAction([*(SetRemap(*pair) for pair in _OWN_TF), include])
 

@@ -15,7 +15,7 @@ from ..core.trajectory import Trajectory
 from ..datasets.bag.source import BagSource
 from ..datasets.open import open_source
 from ..datasets.prefetch import prefetch
-from ..datasets.source import BadFrame, Source
+from ..datasets.source import BadFrame, RobotSource, Source
 from ..datasets.undescribed.source import UndescribedError
 from ..evaluation.depth_range import DepthSurvey
 from .arguments import InfoArguments, UsageError
@@ -23,6 +23,7 @@ from .map_info import MAP_SUFFIX, camera_text, describe_map, sensor_text
 from .tables import Row, table
 
 _SAMPLE = 60  # frames read, from the first
+_NOWHERE = 'recorded; not used, since it is not known where it is'
 
 
 def execute(arguments: InfoArguments) -> int:
@@ -46,7 +47,7 @@ def execute(arguments: InfoArguments) -> int:
         ('depth unit', _unit(source.depth_per_metre)),
         *_depth_rows(frames, source),
         ('ground truth', _truth(source.groundtruth)),
-        ('imu', 'none' if next(source.imu(), None) is None else 'recorded; not used for tracking'),
+        *_sensor_rows(source),
         *[('note', note) for note in source.notes],
         ('bad frames', f'{len(bad)} in the sample'),
         *[('', f'{item.name}: {item.reason}') for item in bad],
@@ -91,6 +92,19 @@ def _recording_rows(source: Source) -> list[Row]:
         ('topics', f'{recorded.topics.color}, {recorded.topics.depth}'),
         ('registered', recorded.registration.reason),
     ]
+
+
+def _sensor_rows(source: Source) -> list[Row]:
+    """Return which sensors there are beside the camera, and whether it is known where."""
+    robot = source if isinstance(source, RobotSource) else None
+    rows = [('imu', 'none')]
+    if next(source.imu(), None) is not None:
+        known = robot is not None and robot.T_cam_imu is not None
+        rows = [('imu', 'for --set priors.gyro=true' if known else _NOWHERE)]
+    if robot is not None and next(robot.odometry(), None) is not None:
+        known = robot.T_base_cam is not None
+        rows.append(('odometry', 'for --set priors.wheels=true' if known else _NOWHERE))
+    return rows
 
 
 def _unit(per_metre: float | None) -> str:

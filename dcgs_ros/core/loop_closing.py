@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .backend.back_end import BackEnd
+from .backend.features import Features
 from .camera import PinholeCamera
 from .kernels.workers import give_way
 from .keyframe import Correction, Keyframe
@@ -80,9 +81,10 @@ class _Mode:
         submaps: Sequence[int],
         keyframes: Iterable[Keyframe],
         camera: PinholeCamera,
+        features: Mapping[int, Features],
     ) -> None:
         """Begin with the keyframes of a map that the tracker goes on in, as `BackEnd.restore`."""
-        self._back_end.restore(stamps_ns, T_world_cam, submaps, keyframes, camera)
+        self._back_end.restore(stamps_ns, T_world_cam, submaps, keyframes, camera, features)
 
     @property
     def loops(self) -> list[tuple[int, int]]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..core import se3
 from ..core.config.stages import PriorsConfig
-from ..core.priors.motion_priors import MotionPriors
-from ..core.priors.readings import AngularRate, BasePose
+from ..core.priors.motion_priors import MotionPriors, PriorsError
+from ..core.priors.readings import AngularRate, BasePose, Reading, SpecificForce
 from .source import OdometrySample, RobotSource, Source
 
 _AHEAD_NS = 20_000_000  # of a frame's stamp: what a camera takes to deliver the frame
@@ -24,9 +24,14 @@ def priors_of(source: Source, config: PriorsConfig) -> MotionPriors:
 
     Raises `PriorsError` where the sequence lacks a sensor that the configuration asks for.
     """
-    if not isinstance(source, RobotSource):
-        return MotionPriors(config)
-    return MotionPriors(config, source.T_cam_imu[:3, :3], source.T_base_cam)
+    priors = MotionPriors(config)
+    if priors.unmounted and isinstance(source, RobotSource):
+        T = source.T_cam_imu
+        priors.mount(None if T is None else T[:3, :3], source.T_base_cam)
+    if priors.unmounted:
+        name, why = next(iter(priors.unmounted.items()))
+        raise PriorsError(f'priors.{name}: {why}; a bag tells it in /tf_static')
+    return priors
 
 
 class Readings:
@@ -34,13 +39,17 @@ class Readings:
 
     def __init__(self, source: Source, config: PriorsConfig) -> None:
         """Read those that the configuration asks for, from the first."""
-        kinds = [_rates(source)] if config.gyro else []
+        kinds = []
+        if config.needs_gyro and isinstance(source, RobotSource):
+            kinds.append(_rates(source))
+        if config.gravity and isinstance(source, RobotSource):
+            kinds.append(_forces(source))
         if config.wheels and isinstance(source, RobotSource):
             kinds.append(_poses(source))
         self._left = merge(*kinds, key=lambda reading: reading.stamp_ns)
         self._next = next(self._left, None)
 
-    def until(self, stamp_ns: int) -> Iterator[AngularRate | BasePose]:
+    def until(self, stamp_ns: int) -> Iterator[Reading]:
         """Yield those that were there when the frame of this stamp was."""
         while self._next is not None and self._next.stamp_ns <= stamp_ns + _AHEAD_NS:
             yield self._next
@@ -55,12 +64,18 @@ def base_pose(sample: OdometrySample) -> NDArray[np.float64]:
     return se3.from_quaternion(quat_wxyz, np.array([x, y, 0.0]))
 
 
-def _rates(source: Source) -> Iterator[AngularRate | BasePose]:
+def _rates(source: RobotSource) -> Iterator[Reading]:
     for sample in source.imu():
-        if sample.angular_velocity is not None:
+        if sample.angular_velocity is not None and sample.frame in source.imu_frames:
             yield AngularRate(sample.stamp_ns, np.array(sample.angular_velocity))
 
 
-def _poses(source: RobotSource) -> Iterator[AngularRate | BasePose]:
+def _forces(source: RobotSource) -> Iterator[Reading]:
+    for sample in source.imu():
+        if sample.acceleration is not None and sample.frame in source.imu_frames:
+            yield SpecificForce(sample.stamp_ns, np.array(sample.acceleration))
+
+
+def _poses(source: RobotSource) -> Iterator[Reading]:
     for sample in source.odometry():
         yield BasePose(sample.stamp_ns, base_pose(sample))

@@ -49,10 +49,10 @@ class ImuSample:
 
 @dataclass(frozen=True)
 class OdometrySample:
-    """What the wheels say: where the base has come since the first sample, and how it moves."""
+    """What the wheels say: where the base has come, and how it moves."""
 
     stamp_ns: int
-    frame: str  # of the pose: the base's at the first sample
+    frame: str  # of the pose: that of the base somewhere, as where the wheels began
     base_frame: str  # x forward, y left, z up, on the ground
     pose: tuple[float, float, float]  # x, y, metres, and heading, radians
     velocity: tuple[float, float, float]  # of the base: forward, left, m/s, turning left, rad/s
@@ -106,16 +106,26 @@ class Source(Protocol):
 
 @runtime_checkable
 class RobotSource(Source, Protocol):
-    """A sequence of a robot: it is known where its sensors are, and its wheels were recorded."""
+    """A sequence of a robot: it may tell where its sensors are, and what its wheels measured."""
 
     @property
-    def T_cam_imu(self) -> NDArray[np.float64]:
-        """(4, 4) IMU to colour camera."""
+    def T_cam_imu(self) -> NDArray[np.float64] | None:
+        """(4, 4) IMU to colour camera; None: not known."""
+        ...
+
+    @property
+    def imu_frames(self) -> Sequence[str]:
+        """Frames of the samples of that IMU; others may be of other IMUs."""
         ...
 
     @property
     def T_base_cam(self) -> NDArray[np.float64] | None:
-        """(4, 4) colour camera to base; None: it is not fixed to one."""
+        """(4, 4) colour camera to base; None: not known, or it is not fixed to one."""
+        ...
+
+    @property
+    def base_frame(self) -> str:
+        """Frame of the base; empty where there is none."""
         ...
 
     def odometry(self) -> Iterator[OdometrySample]:

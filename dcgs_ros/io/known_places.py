@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -21,28 +21,48 @@ from .saved_tracker import SavedTracker
 
 VIEW_DEPTH_UNIT_M = 5e-4  # of the 16 bits in which the mapper keeps depth
 
-# The tracker's number of a keyframe, its colour as JPEG and its depth as PNG, undistorted.
-EncodedImages = tuple[int, bytes, bytes]
+
+@dataclass(frozen=True)
+class KnownView:
+    """A keyframe as a map file has it; its images, undistorted, are empty if they were dropped."""
+
+    keyframe: int  # the tracker's number
+    color_jpeg: bytes
+    depth_png: bytes
+    features: Features | None = None  # None: of an older file
 
 
 def features_of(
-    images: Iterable[EncodedImages], camera: PinholeCamera, sensor: SensorNoise
+    views: Iterable[KnownView], camera: PinholeCamera, sensor: SensorNoise
 ) -> list[tuple[int, Features]]:
-    """Return the features of each keyframe that has images, made with a `camera`."""
-    undistorted = replace(camera, distortion=())
+    """Return the features of each keyframe that are known, or that its images show.
+
+    The images were made with a `camera`.
+    """
     found = []
-    for keyframe, color_jpeg, depth_png in images:
-        frame = _decoded(color_jpeg, depth_png)
-        if frame is not None and frame.depth_m.shape == (camera.height, camera.width):
-            found.append((keyframe, extract(frame, undistorted, sensor)))
+    for view in views:
+        features = view.features or extracted(view.color_jpeg, view.depth_png, camera, sensor)
+        if features is not None:
+            found.append((view.keyframe, features))
     return found
 
 
-def keyframes_of(images: Iterable[EncodedImages], tracker: SavedTracker) -> Iterator[Keyframe]:
+def extracted(
+    color_jpeg: bytes, depth_png: bytes, camera: PinholeCamera, sensor: SensorNoise
+) -> Features | None:
+    """Return the features of a view's images; None where they are no images of the `camera`."""
+    frame = _decoded(color_jpeg, depth_png)
+    if frame is None or frame.depth_m.shape != (camera.height, camera.width):
+        return None
+    return extract(frame, replace(camera, distortion=()), sensor)
+
+
+def keyframes_of(views: Iterable[KnownView], tracker: SavedTracker) -> Iterator[Keyframe]:
     """Yield the keyframes that have images, as a back end takes them: without Gaussians."""
     none = np.empty((0, 3), np.float32)
-    for k, color_jpeg, depth_png in images:
-        frame, odometry = _decoded(color_jpeg, depth_png), tracker.odometry(k)
+    for view in views:
+        k = view.keyframe
+        frame, odometry = _decoded(view.color_jpeg, view.depth_png), tracker.odometry(k)
         if frame is None:
             continue
         if odometry is None:

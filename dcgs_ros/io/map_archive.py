@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.backend.features import Features
 from ..core.camera import PinholeCamera
 from ..core.config.schema import flatten
 from ..core.config.stages import Config
@@ -20,6 +21,8 @@ from ..core.mapping.splats import Splats
 from .archive import VERSION, Archive, ArchiveError, read_archive, write_archive
 from .map_parts import MapFileError as MapFileError
 from .map_parts import check, check_finite, check_keyframes, check_unique, part, read_camera
+from .saved_features import from_parts as features_from_parts
+from .saved_features import parts_of as parts_of_features
 from .saved_tracker import SavedTracker
 from .sessions import SESSIONS_NAME, SavedSession, read_sessions, write_sessions
 from .tracker_map import color_name, depth_name, read_settings, up_to_date
@@ -46,6 +49,7 @@ class SavedKeyframe:
     depth_png: bytes
     keyframe: int = -1  # the tracker's number of it; -1 for a view between keyframes
     visits: int = 0  # optimisation steps so far
+    features: Features | None = None  # of a keyframe; None in a file from before they were kept
 
     def __post_init__(self) -> None:
         """Check shapes, types and finiteness."""
@@ -151,6 +155,7 @@ def write_map(path: Path | str, saved: SavedMap) -> None:
     arrays['visits'] = np.array([k.visits for k in keyframes], np.int32)
     arrays['exposures'] = np.array([k.exposure for k in keyframes], np.float32).reshape(-1, 2, 3)
     arrays |= saved.tracker.parts
+    arrays |= parts_of_features([k.features for k in keyframes])
     blobs = {SESSIONS_NAME: write_sessions(saved.sessions)}
     for index, keyframe in enumerate(keyframes):
         blobs[color_name(index)] = keyframe.color_jpeg
@@ -208,11 +213,12 @@ def _keyframes(archive: Archive) -> tuple[SavedKeyframe, ...]:
     check('exposures', exposures, np.float32, (n, 2, 3))
     check('keyframe_numbers', numbers, np.int32, (n,))
     check('visits', visits, np.int32, (n,))
+    features = features_from_parts(archive.arrays, n)
     return tuple(
         SavedKeyframe(
             int(stamps[k]), tracked[k], poses[k], exposures[k],
             part(archive.blobs, color_name(k)), part(archive.blobs, depth_name(k)),
-            int(numbers[k]), int(visits[k]),
+            int(numbers[k]), int(visits[k]), features[k],
         )
         for k in range(n)
     )  # fmt: skip

@@ -18,6 +18,7 @@ from ..core.mapping.views import KeyframeView
 from ..core.tracking.depth_bias import TERMS
 from ..core.tracking.tracker import Tracker
 from ..core.tracking.verification import Usual
+from .known_places import extracted
 from .map_archive import MapFileError, SavedKeyframe, SavedMap
 from .saved_tracker import ID_MARGIN, SavedTracker
 from .sessions import SavedSession, extended
@@ -66,7 +67,10 @@ def saved_map(
         track_covariances=covariances,
         landmarks=landmarks,
         landmark_covariances=landmark_covariances,
-        keyframes=tuple(map(_saved_keyframe, mapper.views, numbers.tolist())),
+        keyframes=tuple(
+            _saved_keyframe(view, number, mapper)
+            for view, number in zip(mapper.views, numbers.tolist(), strict=True)
+        ),
         tracker=known,
         sessions=extended(before, now, len(known.poses), len(mapper.views)),
     )
@@ -82,7 +86,7 @@ def restore_mapper(mapper: Mapper, saved: SavedMap, first_id: int = 0) -> None:
         KeyframeView.restored(
             index, known.stamp_ns, (known.T_tracked, known.T_world_cam),
             Exposure(*known.exposure.copy()), known.visits, known.keyframe,
-            (known.color_jpeg, known.depth_png),
+            (known.color_jpeg, known.depth_png), known.features,
         )
         for index, known in enumerate(saved.keyframes)
     ]  # fmt: skip
@@ -211,8 +215,11 @@ def _as_tracked(
     return viewpoints, covariances
 
 
-def _saved_keyframe(view: KeyframeView, keyframe: int) -> SavedKeyframe:
+def _saved_keyframe(view: KeyframeView, keyframe: int, mapper: Mapper) -> SavedKeyframe:
+    """Return a view with the features that its images have once they are encoded."""
     color_jpeg, depth_png = view.encoded
+    if keyframe >= 0 and view.features is None:
+        view.features = extracted(color_jpeg, depth_png, mapper.camera, mapper.config.sensor)
     return SavedKeyframe(
         stamp_ns=view.stamp_ns,
         T_world_cam=view.T_world_cam,
@@ -222,4 +229,5 @@ def _saved_keyframe(view: KeyframeView, keyframe: int) -> SavedKeyframe:
         depth_png=depth_png,
         keyframe=keyframe,
         visits=view.visits,
+        features=view.features,
     )

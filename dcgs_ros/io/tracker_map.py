@@ -20,9 +20,10 @@ from ..core.errors import DcgsError
 from ..core.sensor import SensorNoise
 from ..core.tracking.tracker import Tracker
 from .archive import Archive, ArchiveError, read_archive, write_archive
-from .known_places import EncodedImages
+from .known_places import KnownView
 from .map_parts import MapFileError, part, read_camera
 from .older_maps import with_information, with_tracker
+from .saved_features import from_parts
 from .saved_tracker import SavedTracker
 from .sessions import SESSIONS_NAME, SavedSession, extended, read_sessions, write_sessions
 
@@ -56,7 +57,7 @@ class TrackerMap:
     tracker: SavedTracker
     sessions: tuple[SavedSession, ...]
     sensor: SensorNoise  # of the last session
-    images: tuple[EncodedImages, ...]  # of the keyframes that have some
+    views: tuple[KnownView, ...]  # the keyframes among the mapper's
 
 
 def write_tracker_map(
@@ -93,7 +94,7 @@ def read_tracker_map(path: Path | str) -> TrackerMap:
             SavedTracker.from_parts(archive.arrays, part(archive.metadata, 'next_id')),
             read_sessions(part(archive.blobs, SESSIONS_NAME)),
             read_settings(archive).sensor,
-            tuple(_images(archive)),
+            tuple(_views(archive)),
         )
     except ArchiveError as error:
         raise MapFileError(str(error)) from error
@@ -101,12 +102,14 @@ def read_tracker_map(path: Path | str) -> TrackerMap:
         raise MapFileError(f'{path}: {error}') from error
 
 
-def _images(archive: Archive) -> Iterator[EncodedImages]:
-    for view, keyframe in enumerate(part(archive.arrays, 'keyframe_numbers').ravel().tolist()):
+def _views(archive: Archive) -> Iterator[KnownView]:
+    numbers = part(archive.arrays, 'keyframe_numbers').ravel().tolist()
+    features = from_parts(archive.arrays, len(numbers))
+    for view, keyframe in enumerate(numbers):
         if keyframe >= 0:
             names = color_name(view), depth_name(view)
             color, depth = (part(archive.blobs, name) for name in names)
-            yield keyframe, color, depth
+            yield KnownView(keyframe, color, depth, features[view])
 
 
 def color_name(view: int) -> str:

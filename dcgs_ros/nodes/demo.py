@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Replay, tracker and mapper as three processes over DDS, and what they achieve.
 
-`python -m dcgs_ros.nodes.demo [SOURCE] [--rate 1] [--no-mapper]`
+`python -m dcgs_ros.nodes.demo [SOURCE] [--rate 1] [--no-mapper] [--priors]`
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..core import se3
 from ..core.errors import DcgsError
 from ..core.trajectory import Trajectory
 from ..datasets.open import open_source
+from ..datasets.source import RobotSource, Source
 from ..evaluation.trajectory import absolute_trajectory_error
 from .harness.observer import Observer, wait_until
 from .harness.processes import Processes, sensor_parameters
@@ -39,6 +42,7 @@ class Outcome:
     gaussians: int  # of the mapper
     keyframes: int
     steps_per_s: float
+    priors: dict[str, str]  # whether each that is asked for was used at the end
 
     def __str__(self) -> str:
         """Return the figures in a few lines."""
@@ -50,11 +54,15 @@ class Outcome:
             f'  ATE           {ate}\n'
             f'  map           {self.gaussians} Gaussians, {self.keyframes} keyframes, '
             f'{self.steps_per_s:.1f} steps a second'
+            + ''.join(f'\n  {name:13s} {why}' for name, why in self.priors.items())
         )
 
 
-def play(source: str, rate: float, mapper: bool, logs: Path) -> Outcome:
-    """Play a source to the nodes; raise `DcgsError` or `TimeoutError` where they fail."""
+def play(source: str, rate: float, mapper: bool, logs: Path, with_priors: bool = False) -> Outcome:
+    """Play a source to the nodes; raise `DcgsError` or `TimeoutError` where they fail.
+
+    With priors the tracker uses the sensors of which the source tells where they are.
+    """
     opened = open_source(source)
     with Processes(logs) as processes:
         observer = Observer(processes.domain)
@@ -62,6 +70,7 @@ def play(source: str, rate: float, mapper: bool, logs: Path) -> Outcome:
             sensor = sensor_parameters(opened.sensor)
             names = ['tracker', 'mapper'] if mapper else ['tracker']
             reliable = {'node.reliability': 'reliable', 'node.resume': False}
+            reliable |= sensors_of(opened) if with_priors else {}
             for name in names:
                 processes.start(name, sensor | (reliable if name == 'tracker' else {}))
             wait_until(
@@ -75,7 +84,7 @@ def play(source: str, rate: float, mapper: bool, logs: Path) -> Outcome:
                 raise DcgsError(f'replay ended with {replay.returncode}; see {logs}')
             wait_until(lambda: observer.status != {}, _SETTLE_S, 'diagnostics')
             _await_reports(observer)
-            return _outcome(observer, len(opened), opened.groundtruth)
+            return _outcome(observer, opened, with_priors)
         finally:
             observer.close()
 
@@ -86,11 +95,41 @@ def _await_reports(observer: Observer) -> None:
     wait_until(lambda: len(observer.history) >= reports + 4, 10.0, 'diagnostics')
 
 
-def _outcome(observer: Observer, frames: int, truth: Trajectory | None) -> Outcome:
+def sensors_of(source: Source) -> dict[str, object]:
+    """Return the tracker's parameters for the sensors beside the camera, TF or not."""
+    if not isinstance(source, RobotSource):
+        return {}
+    chosen: dict[str, object] = {}
+    if source.T_cam_imu is not None:
+        chosen |= {'priors.gyro': True, 'node.camera_to_imu': _pose_text(source.T_cam_imu)}
+    if source.T_base_cam is not None and next(source.odometry(), None) is not None:
+        chosen |= {'priors.wheels': True, 'node.base_to_camera': _pose_text(source.T_base_cam)}
+        chosen['node.base_frame'] = source.base_frame
+    return chosen
+
+
+def _pose_text(T: NDArray[np.float64]) -> str:
+    w, x, y, z = se3.to_quaternion(T).tolist()
+    return ' '.join(f'{number:.9f}' for number in (*T[:3, 3].tolist(), x, y, z, w))
+
+
+def _cameras(observer: Observer, source: Source, with_priors: bool) -> Trajectory:
+    """Return where the camera was; poses of the base tell it by where that is on it."""
+    found = observer.trajectory()
+    if not with_priors or 'node.base_to_camera' not in sensors_of(source):
+        return found
+    assert isinstance(source, RobotSource) and source.T_base_cam is not None
+    return replace(found, T_world_cam=found.T_world_cam @ source.T_base_cam)
+
+
+def _outcome(observer: Observer, source: Source, with_priors: bool) -> Outcome:
     latencies = observer.latencies_ms()
     if not len(latencies):
         raise DcgsError('the tracker published no odometry')
-    ate = None if truth is None else absolute_trajectory_error(observer.trajectory(), truth)
+    truth, frames = source.groundtruth, len(source)
+    ate = None
+    if truth is not None:
+        ate = absolute_trajectory_error(_cameras(observer, source, with_priors), truth)
     median_ms, p95_ms = np.percentile(latencies, [50, 95]).tolist()
     return Outcome(
         frames=frames,
@@ -101,6 +140,11 @@ def _outcome(observer: Observer, frames: int, truth: Trajectory | None) -> Outco
         gaussians=int(observer.value('dcgs_mapper', 'gaussians')),
         keyframes=int(observer.value('dcgs_mapper', 'keyframes')),
         steps_per_s=observer.value('dcgs_mapper', 'steps_per_s'),
+        priors={
+            key.removeprefix('prior_'): value
+            for key, value in observer.status['dcgs_tracker'][2].items()
+            if key.startswith('prior_')
+        },
     )
 
 
@@ -110,11 +154,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('source', nargs='?', default='synthetic:room')
     parser.add_argument('--rate', type=float, default=1.0)
     parser.add_argument('--no-mapper', action='store_true')
+    parser.add_argument('--priors', action='store_true')
     chosen = parser.parse_args(arguments)
     logs = Path(tempfile.mkdtemp(prefix='dcgs-demo-'))
     print(f'{chosen.source} at {chosen.rate:g} times its speed; logs in {logs}', flush=True)
     try:
-        print(play(chosen.source, chosen.rate, not chosen.no_mapper, logs))
+        print(play(chosen.source, chosen.rate, not chosen.no_mapper, logs, chosen.priors))
     except (DcgsError, TimeoutError) as error:
         print(f'dcgs demo: {error}; logs in {logs}', file=sys.stderr)
         return 1

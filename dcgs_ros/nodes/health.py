@@ -37,6 +37,7 @@ class Verdict:
 LOADING = Verdict(
     Level.WARN, 'loading the kernels: a minute the first time, else seconds', logged=True
 )
+PAUSED = Verdict(Level.WARN, 'paused: images are ignored until ~/resume is called', logged=True)
 
 
 class News:

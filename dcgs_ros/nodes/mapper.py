@@ -136,7 +136,7 @@ class MapperNode(Node):
 
     def _work(self) -> None:
         """Insert what came, publish what is due, optimise otherwise; until closed."""
-        give_way()
+        give_way(self._params.settings.node.nice)
         self.get_logger().info(LOADING.message)
         session, outputs = self._session, self._outputs
         warm_up_with_mapper(ANY_CAMERA, self._params.settings)

@@ -13,11 +13,12 @@ from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
+from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, Imu
 from std_msgs.msg import Header
 
 from ..core.config.nodes import ReplaySettings
@@ -31,14 +32,19 @@ from .parameters import Parameters
 from .playback.pursuit import Pursuit
 from .playback.schedule import Pacer, ScheduledItem, schedule
 from .playback.sources import Output, open_playback
-from .tracking.extrinsics import LOOKING_FORWARD
 from .transforms import make_transforms
 from .transport import RELIABLE, sensor_qos
 
-_TOPICS: dict[Output, tuple[type, str]] = {
+_IMAGES: dict[Output, tuple[type, str]] = {
     'camera_info': (CameraInfo, 'camera/camera/color/camera_info'),
     'color': (Image, 'camera/camera/color/image_raw'),
     'depth': (Image, 'camera/camera/aligned_depth_to_color/image_raw'),
+}
+_BESIDE: dict[Output, tuple[type, str]] = {
+    'imu': (Imu, 'camera/camera/imu'),
+    'gyro': (Imu, 'camera/camera/gyro/sample'),
+    'accel': (Imu, 'camera/camera/accel/sample'),
+    'odometry': (Odometry, 'odom'),
 }
 _POLL_S = 0.05
 _SAY_S = 10.0  # how often it is said what is waited for
@@ -46,6 +52,8 @@ _WHEN_READY = 'a tracker subscribes once its kernels are loaded (the first time:
 _UNACKNOWLEDGED = 4  # frames to publish before waiting, as fast as possible: fewer than are kept
 _ACKNOWLEDGE_WAIT = Duration(seconds=2)
 _AHEAD = 4  # frames, of the tracker that is played to: as many as it keeps
+_QUEUE, _SAMPLES = 5, 200  # images and samples that wait to be sent
+_SAMPLES_PER_FRAME = 10  # of an IMU and wheels at usual rates
 _PATIENCE_S = 5.0  # with that tracker, if it says nothing
 
 
@@ -60,17 +68,18 @@ class ReplayNode(Node):
         ).settings
         s = self._settings
         camera = None if s.camera == 'auto' else s.camera
-        self._source = open_playback(s.source, camera, s.color_frame, self._warn)
-        qos = sensor_qos(s.reliability)
+        self._source = open_playback(s.source, camera, s.base_frame, s.color_frame, self._warn)
+        beside = {output: _BESIDE[output] for output in self._source.beside}
         self._outputs: dict[Output, Publisher] = {
-            output: self.create_publisher(type_, topic, qos)
-            for output, (type_, topic) in _TOPICS.items()
+            output: self.create_publisher(
+                type_, topic, sensor_qos(s.reliability, _SAMPLES if output in beside else _QUEUE)
+            )
+            for output, (type_, topic) in (_IMAGES | beside).items()
         }
         self._clock_output = self.create_publisher(Clock, '/clock', RELIABLE)
-        fixed = transform_stamped(
-            LOOKING_FORWARD, header(0, s.base_frame), self._source.camera_frame
+        make_transforms(self).send_static(
+            [transform_stamped(T, header(0, up), down) for up, down, T in self._source.mounts]
         )
-        make_transforms(self).send_static(fixed)
         self._stop, self._pursuit = threading.Event(), Pursuit(_AHEAD, _PATIENCE_S)
         if s.wait_for_node:
             progress = f'{s.wait_for_node}/progress'
@@ -97,7 +106,7 @@ class ReplayNode(Node):
     def _lacking(self) -> str | None:
         """Return who has to subscribe to what before the playback begins; None: nobody."""
         wanted, node = self._settings.wait_for_subscribers, self._settings.wait_for_node
-        for output in self._outputs.values():
+        for output in (self._outputs[name] for name in _IMAGES):
             topic, count = output.topic_name, output.get_subscription_count()
             subscribers = self.get_subscriptions_info_by_topic(topic) if node else []
             if node and node not in [info.node_name for info in subscribers]:
@@ -112,7 +121,8 @@ class ReplayNode(Node):
         self.get_logger().info(f'playing {s.source}')
         start_s, count = time.monotonic(), 0
         pacer = Pacer(s.rate, self._publish_clock, self._stop)
-        with closing(prefetch(self._converted())) as ready:
+        ahead = _AHEAD * (_SAMPLES_PER_FRAME if self._source.beside else 1)
+        with closing(prefetch(self._converted(), ahead)) as ready:
             for scheduled, messages in ready:
                 if not pacer.wait(scheduled):
                     return
@@ -123,7 +133,7 @@ class ReplayNode(Node):
                     self._outputs[output].publish(message)
                 if not s.rate and count % _UNACKNOWLEDGED == 0:
                     self._await_acknowledgement('color', 'depth')
-        self._await_acknowledgement(*_TOPICS)
+        self._await_acknowledgement(*self._outputs)
         self.get_logger().info(f'{count} frames in {time.monotonic() - start_s:.1f} s')
 
     def _keep_near(self, color: Any) -> None:

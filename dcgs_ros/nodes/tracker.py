@@ -19,18 +19,20 @@ from ..core.config.presets import ONLINE
 from ..core.config.schema import override
 from ..core.errors import DcgsError
 from ..core.keyframe import Correction, MapUpdate
-from ..core.priors.motion_priors import MotionPriors
 from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
-from .health import LOADING, Verdict
+from .health import LOADING, PAUSED, Verdict
 from .lifetime import Worker, run
 from .parameters import Parameters
 from .reporter import Reporter
 from .services import answered, offer, refused
 from .tracking.back_end import make_loops, warm_up_loops
 from .tracking.camera_subscriber import CameraSubscriber
+from .tracking.frame_info import FrameInfo
+from .tracking.frame_rate import FrameRate
 from .tracking.frame_reader import SomeImage
 from .tracking.health import judge
+from .tracking.initial_pose import InitialPose
 from .tracking.keyframe_publisher import KeyframePublisher
 from .tracking.keyframe_sender import KeyframeSender
 from .tracking.known_map import KnownMap, preferred, save
@@ -38,6 +40,7 @@ from .tracking.live_points import LivePoints
 from .tracking.mapper_subscriber import MapperSubscriber
 from .tracking.outputs import TrackerOutputs
 from .tracking.pairing import ImagePair
+from .tracking.robot_sensors import RobotSensors
 from .tracking.session import AFTER_RESET, TrackingSession
 
 _FIXED = (
@@ -69,24 +72,30 @@ class TrackerNode(Node):
         self._camera = CameraSubscriber(
             self, node_settings, self._warn, self._outputs.lookup, self._reporter.inform
         )
-        MotionPriors(settings.priors)  # raises: no node reads other sensors yet
+        self._sensors = RobotSensors(self, settings, self._outputs.transforms, self._warn)
         localizes = node_settings.mode == 'localization'
         self._known = KnownMap.read(Path(node_settings.map)) if node_settings.map else None
         if localizes and self._known is None:
             raise DcgsError('node.mode is localization, but node.map names no map')
         self._loops = make_loops(settings, self._on_correction, self._warn)
         self._session = TrackingSession(
-            core_config(settings), np.eye(4), self._warn, self._loops, localizes
-        )
+            core_config(settings), np.eye(4), self._warn, self._loops, localizes,
+            self._sensors.priors,
+        )  # fmt: skip
         publisher = KeyframePublisher(self, self._outputs.world)
         memory_mb = node_settings.keyframe_memory_mb
         self._sender = KeyframeSender(publisher, memory_mb, self._session.alive)
+        self._frame_info = FrameInfo(self)
+        self._initial_pose = InitialPose(self, node_settings.map_frame, self._warn)
         self._mapper = MapperSubscriber(
             self, self._on_answer, self._sender.acknowledge, self._warn
         )
         offer(self, '~/reset', self._on_reset)
+        offer(self, '~/pause', self._on_pause)
+        offer(self, '~/resume', self._on_resume)
         offer(self, '~/save_map', lambda: self._when_ready(self._save))
         offer(self, '~/load_map', lambda: self._when_ready(self._load))
+        self._rate = FrameRate(node_settings.max_rate_hz)
         self._ready = False
         self._worker = Worker(self, self._work, 'tracking')
 
@@ -112,6 +121,14 @@ class TrackerNode(Node):
         self._sender.forget()
         self._outputs.forget()
         return text
+
+    def _on_pause(self) -> Future[str]:
+        self._camera.pause()
+        return answered(PAUSED.message)
+
+    def _on_resume(self) -> Future[str]:
+        self._camera.resume()
+        return answered('tracking goes on with the next image')
 
     def _when_ready(self, work: Callable[[], str]) -> Future[str]:
         return self._camera.queue.submit(work) if self._ready else refused(LOADING.message)
@@ -152,7 +169,7 @@ class TrackerNode(Node):
             if pair is None:
                 continue
             try:
-                if self._camera.reader.has_camera:
+                if self._camera.reader.has_camera and self._rate.admits(pair.color_ns):
                     self._track(pair)
             except DcgsError as error:
                 self._session.refuse(error)
@@ -181,9 +198,14 @@ class TrackerNode(Node):
         if to_base.T_base_cam is not session.T_world_first:
             self._outputs.remount(session.T_world_first, to_base.T_base_cam)
             session.remount(to_base.T_base_cam, frame)
+        place = self._initial_pose.take(to_base)
+        if place is not None:
+            session.expect(place)
+        self._sensors.sense(frame.stamp_ns, camera_frame)
         result = session.track(frame, camera)
         if result is None:
             return
+        self._frame_info.publish(result, session.ms, self._sensors.reasons)
         if session.epoch != epoch:
             self._sender.forget()
         if result.state is not TrackingState.LOST:
@@ -198,18 +220,20 @@ class TrackerNode(Node):
     def _judged(self) -> tuple[Verdict, dict[str, object]]:
         """Return how tracking goes."""
         session, news = self._session, self._camera.news()
-        verdict = LOADING
-        if self._ready:
+        priors = self._sensors.reasons()
+        verdict = PAUSED if self._camera.paused else LOADING
+        if self._ready and not self._camera.paused:
             missed = self._camera.missed_text()
             if missed is not None:
                 self._warn(missed)
             verdict = judge(
                 news, session.result, session.searching, ever_tracked=session.ever_tracked,
-                refusal=session.refusal, mounting=self._outputs.mounting.doubt,
+                refusal=session.refusal, doubt=self._outputs.doubt, priors=priors,
             )  # fmt: skip
         values = {
-            'ms': session.ms, **self._camera.figures(), **session.counts,
-            **self._sender.figures(), **session.figures(), **self._loops.figures(),
+            'ms': session.ms, **self._camera.figures(), 'left_out': self._rate.left_out,
+            **session.counts, **self._sender.figures(), **session.figures(),
+            **self._loops.figures(), **{f'prior_{name}': why for name, why in priors.items()},
         }  # fmt: skip
         return verdict, values
 

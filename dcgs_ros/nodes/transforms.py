@@ -24,12 +24,14 @@ class Transforms(Protocol):
         """Broadcast a transform that holds at its stamp."""
         ...
 
-    def send_static(self, transform: TransformStamped) -> None:
-        """Broadcast a transform that always holds."""
+    def send_static(self, transforms: list[TransformStamped]) -> None:
+        """Broadcast transforms that always hold."""
         ...
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Return the latest T_parent_child (4, 4), metres; None where TF does not know it."""
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
+        """Return T_parent_child (4, 4), metres, at a stamp, else the latest; None: not known."""
         ...
 
 
@@ -45,10 +47,12 @@ class NoTransforms:
     def send(self, transform: TransformStamped) -> None:
         """Do nothing."""
 
-    def send_static(self, transform: TransformStamped) -> None:
+    def send_static(self, transforms: list[TransformStamped]) -> None:
         """Do nothing."""
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         """Return None."""
         return None
 
@@ -72,14 +76,17 @@ class Tf2Transforms:
         """Broadcast on /tf."""
         self._broadcaster.sendTransform(transform)
 
-    def send_static(self, transform: TransformStamped) -> None:
+    def send_static(self, transforms: list[TransformStamped]) -> None:
         """Broadcast on /tf_static, which late subscribers get too."""
-        self._static_broadcaster.sendTransform(transform)
+        self._static_broadcaster.sendTransform(transforms)
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
-        """Return the latest transform, without waiting."""
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
+        """Return the transform at a stamp, interpolated, or the latest, without waiting."""
+        time = Time() if stamp_ns is None else Time(nanoseconds=stamp_ns)
         try:
-            found = self._buffer.lookup_transform(parent, child, Time())
+            found = self._buffer.lookup_transform(parent, child, time)
         except self._unknown:
             return None
         t, q = found.transform.translation, found.transform.rotation

@@ -190,7 +190,9 @@ def test_a_signal_midway_leaves_nothing(tmp_path: Path, kind: str, number: signa
 def test_a_synthetic_sequence_is_converted_with_its_imu(tmp_path: Path) -> None:
     address = 'synthetic:corridor?frames=5'
     assert convert(address, tmp_path / 'a') == 0
-    converted = list(BagSource(tmp_path / 'a').imu())
+    back = BagSource(tmp_path / 'a')
+    assert back.T_cam_imu is not None
+    converted = list(back.imu())
     original = list(SyntheticSource.from_address(address).imu())
     assert len(converted) > 25 and set(converted) <= set(original)
     assert converted == original[original.index(converted[0]) :]

@@ -65,3 +65,11 @@ def test_a_recording_is_described_with_its_chosen_topics(
     assert depth == '/camera/camera/aligned_depth_to_color/image_raw'
     assert lines['registered'] == 'as recorded'
     assert lines['imu'] == 'none'
+
+
+def test_sensors_beside_the_camera_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of which it is known where they are: a camera in a hand is on no base."""
+    assert main(['info', 'synthetic:plane?frames=2']) == 0
+    lines = lines_of(capsys.readouterr().out)
+    assert lines['imu'] == 'for --set priors.gyro=true'
+    assert 'not known where' in lines['odometry']

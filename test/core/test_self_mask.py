@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from tracked_room import SOURCE, frames  # type: ignore[import-not-found]
 
-from dcgs_ros.core.backend.features import extract
+from dcgs_ros.core.backend.features import Features, extract
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import ConfigError, override
 from dcgs_ros.core.config.stages import Config
@@ -119,10 +119,14 @@ def test_landmarks_are_neither_detected_there_nor_followed_to_there() -> None:
 def test_places_are_not_recognised_by_it() -> None:
     """The robot looks the same everywhere."""
     frame, camera, sensor = with_part()[0], SOURCE.camera, SOURCE.sensor
-    assert not seen_beside(extract(frame, camera, sensor).pixels, mask()).all()
+
+    def pixels(features: Features) -> NDArray[np.float32]:
+        return camera.project(np.column_stack([features.rays, np.ones(len(features))]))
+
+    assert not seen_beside(pixels(extract(frame, camera, sensor)), mask()).all()
     found = extract(frame, camera, sensor, self_mask=MASK)
     assert len(found) > 50
-    assert seen_beside(found.pixels, mask()).all()
+    assert seen_beside(pixels(found), mask()).all()
 
 
 def test_mapper_compares_no_pixel_there() -> None:

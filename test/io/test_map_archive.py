@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import re
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from sealing import unsealed_zip  # type: ignore[import-not-found]
 
+from dcgs_ros.core.backend.features import Features
 from dcgs_ros.core.camera import LARGEST, PinholeCamera
 from dcgs_ros.core.config.schema import flatten, override
 from dcgs_ros.core.config.stages import Config
@@ -31,6 +33,7 @@ from dcgs_ros.io.archive import Archive, read_archive, write_archive
 from dcgs_ros.io.map_archive import MapFileError, SavedKeyframe, SavedMap, read_map, write_map
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.io.sessions import SavedSession
+from dcgs_ros.io.tracker_map import read_tracker_map
 
 MEMORY_SLACK = 1 << 20  # bytes beside what the file's size explains
 FLOAT32 = st.floats(width=32, allow_nan=False, allow_infinity=False)  # denormals and -0 too
@@ -100,7 +103,7 @@ def sessions(draw: st.DrawFn, keyframes: int, views: int) -> tuple[SavedSession,
 
 
 @st.composite
-def keyframes(draw: st.DrawFn) -> SavedKeyframe:
+def keyframes(draw: st.DrawFn, with_features: bool) -> SavedKeyframe:
     return SavedKeyframe(
         draw(st.integers(-(2**63), 2**63 - 1)),
         draw(arrays(np.float64, (4, 4), elements=FLOAT64)),
@@ -110,12 +113,22 @@ def keyframes(draw: st.DrawFn) -> SavedKeyframe:
         draw(st.binary(max_size=20)),
         draw(st.integers(-1, 0)),
         draw(st.integers(0, 2**31 - 1)),
+        draw(features() if with_features else st.none()),
     )
 
 
 @st.composite
+def features(draw: st.DrawFn) -> Features:
+    count = draw(st.integers(1, 3))
+    return Features(
+        draw(arrays(np.uint8, (count, 32))), numbers(draw, np.float32, (count, 2)),
+        numbers(draw, np.float32, count),
+    )  # fmt: skip
+
+
+@st.composite
 def maps(draw: st.DrawFn) -> SavedMap:
-    frames = draw(st.lists(keyframes(), max_size=3))
+    frames = draw(st.lists(keyframes(draw(st.booleans())), max_size=3))
     n = draw(st.integers(0, 4)) if frames else 0
     landmarks = draw(st.integers(0, 3))
     ids = draw(arrays(np.int64, n, unique=True))
@@ -203,7 +216,7 @@ def assert_same(found: Any, expected: Any) -> None:
         if isinstance(other, np.ndarray):
             assert (one.dtype, one.shape) == (other.dtype, other.shape), field.name
             assert one.tobytes() == other.tobytes(), field.name
-        elif isinstance(other, Splats | SavedTracker):
+        elif isinstance(other, Splats | SavedTracker | Features):
             assert_same(one, other)
         elif field.name == 'keyframes':
             assert len(one) == len(other)
@@ -232,6 +245,45 @@ def test_maps_of_any_size_come_back(tmp_path: Path, count: int, frames: int) -> 
     saved = example(count, frames)
     write_map(tmp_path / 'a', saved)
     assert_same(read_map(tmp_path / 'a'), saved)
+
+
+def known(count: int) -> Features:
+    rng = np.random.default_rng(count)
+    rays = rng.normal(size=(count, 2)).astype(np.float32)
+    return Features(rng.integers(256, size=(count, 32), dtype=np.uint8), rays, rays[:, 0] ** 2)
+
+
+@pytest.mark.parametrize(
+    ('name', 'array', 'said'),
+    [
+        ('feature_counts', np.array([2, 4], np.int32), 'feature_descriptors is uint8 of shape'),
+        ('feature_counts', np.array([-1, 6], np.int32), 'feature_counts: one is -1'),
+        ('feature_counts', np.array([5], np.int32), 'feature_counts is int32 of shape'),
+        ('feature_descriptors', None, "holds no 'feature_descriptors'"),
+        ('feature_rays', np.full((5, 2), np.nan, np.float32), 'feature_rays: 5 of 5'),
+        ('feature_rays', np.zeros((5, 3), np.float32), 'feature_rays is float32 of shape'),
+        ('feature_depths_m', np.zeros(5), 'feature_depths_m is float64'),
+    ],
+)
+def test_features_that_do_not_fit_are_refused(
+    tmp_path: Path, name: str, array: NDArray[Any] | None, said: str
+) -> None:
+    views = (keyframe(features=known(2)), keyframe(stamp_ns=8, features=known(3)))
+    write_map(tmp_path / 'a', dataclasses.replace(example(), keyframes=views))
+    archive = read_archive(tmp_path / 'a')
+    changed = {key: value for key, value in archive.arrays.items() if key != name}
+    changed |= {} if array is None else {name: array}
+    write_archive(tmp_path / 'b', changed, archive.metadata, archive.blobs)
+    for read in (read_map, read_tracker_map):
+        with pytest.raises(MapFileError, match=re.escape(said)):
+            read(tmp_path / 'b')
+
+
+def test_a_file_without_features_is_read(tmp_path: Path) -> None:
+    """As they were until features were kept."""
+    write_map(tmp_path / 'a', example())
+    assert not any(name.startswith('feature') for name in read_archive(tmp_path / 'a').arrays)
+    assert [view.features for view in read_map(tmp_path / 'a').keyframes] == [None, None]
 
 
 def test_images_and_arrays_can_be_opened_without_this_package(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
+from dcgs_ros.core.backend.features import Features
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
@@ -26,7 +27,8 @@ from dcgs_ros.core.mapping.views import KeyframeView
 from dcgs_ros.core.render.cpu import CpuRenderer
 from dcgs_ros.core.tracking.tracker import Tracker
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
-from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of, places_of
+from dcgs_ros.io import snapshot
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, KnownView, features_of, places_of
 from dcgs_ros.io.map_archive import MapFileError, SavedMap, read_map, write_map
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.io.snapshot import as_hosts_saw, restore_mapper, saved_map
@@ -265,6 +267,32 @@ def test_a_restored_map_moves_with_its_keyframes() -> None:
     np.testing.assert_allclose(again.table.splats.means.T, expected, atol=1e-4)
 
 
+def test_features_are_found_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mapper, seen = mapper_with(), list[bytes]()
+    features = Features(
+        np.full((2, 32), 7, np.uint8), np.ones((2, 2), np.float32), np.ones(2, np.float32)
+    )
+
+    def found(color_jpeg: bytes, *_: object) -> Features:
+        seen.append(color_jpeg)
+        return features
+
+    monkeypatch.setattr(snapshot, 'extracted', found)
+    for _ in range(2):
+        write_map(tmp_path / 'a', saved_map(mapper, None))
+    assert seen == [view.encoded[0] for view in mapper.views]
+    again = Mapper(CAMERA, Config(), CpuRenderer(Workers(1)), Workers(1))
+    saved = read_map(tmp_path / 'a')
+    restore_mapper(again, saved)
+    saved_again = saved_map(again, None)
+    assert len(seen) == len(mapper.views)
+    kept, once_more = saved.keyframes[-1].features, saved_again.keyframes[-1].features
+    assert kept is not None and once_more is kept
+    for name in ('descriptors', 'rays', 'depths_m'):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(features, name))
+    assert features_of([KnownView(3, b'', b'', kept)], CAMERA, Config().sensor) == [(3, kept)]
+
+
 def test_places_of_a_map_are_known_again() -> None:
     assert VIEW_DEPTH_UNIT_M == DEPTH_UNIT_M
     source = SyntheticSource.from_address('synthetic:room?frames=2')
@@ -274,10 +302,11 @@ def test_places_of_a_map_are_known_again() -> None:
     color = cv2.imencode('.jpg', frame.color[..., ::-1])[1].tobytes()
     depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
     png = cv2.imencode('.png', depth)[1].tobytes()
-    useless = [(0, b'', b''), (1, b'no', b'image'), (2, color, png[:50]), (3, color, color)]
-    features = features_of([*useless, (7, color, png)], source.camera, source.sensor)
-    assert [keyframe for keyframe, _ in features] == [7]
+    pairs = [(b'', b''), (b'no', b'image'), (color, png[:50]), (color, color), (color, png)]
+    views = [KnownView(k, *pair) for k, pair in enumerate(pairs)]
+    features = features_of(views, source.camera, source.sensor)
+    assert [keyframe for keyframe, _ in features] == [4]
     places = places_of(features, source.camera, config)
     assert places is not None and places_of([], source.camera, config) is None
     found = places.recognise(frame)[0]
-    assert found.keyframe == 7 and np.linalg.norm(se3.log(found.T_keyframe_cam)) < 0.02
+    assert found.keyframe == 4 and np.linalg.norm(se3.log(found.T_keyframe_cam)) < 0.02

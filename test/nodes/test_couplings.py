@@ -49,6 +49,7 @@ CAMERA_TOPICS = {
     f'camera/camera/{name}'
     for name in ('color/image_raw', 'aligned_depth_to_color/image_raw', 'color/camera_info')
 }
+INFO = {'camera/camera/color/camera_info'}
 TO_TRACKER = {'keyframe/received', 'keyframe/answer', 'gaussian_map', 'gaussian_map_updates'}
 PLANE = ['-p', 'source:=synthetic:plane']
 RENAMED = ['-r', 'dcgs_tracker:__node:=eye', '-r', 'dcgs_mapper:__node:=brain']
@@ -243,10 +244,13 @@ def keyframe_in(camera_frame: str, stamp_ns: int, world: str = 'odom') -> dict[s
 
 
 def test_the_map_is_in_the_frame_of_the_keyframes(make: Make) -> None:
-    """Which is `map` for a tracker that broadcasts map -> odom."""
-    node, clouds = make(MapperNode), list[Any]()
+    """Before there is one, as of a map file, in that of the setting."""
+    node, clouds = make(MapperNode, '-p', 'node.map_frame:=floor_1'), list[Any]()
     for name in ('_map', '_updates', '_received', '_answers'):
         setattr(node._outputs, name, SimpleNamespace(publish=clouds.append))
+    node._outputs.keyframes(node._session.mapper)
+    assert [cloud.header.frame_id for cloud in clouds] == ['floor_1']
+    clouds.clear()
     node._insert(keyframe_in('optical', 1, 'map'))
     node._outputs.update(node._session.mapper)
     assert len(clouds) == 4 and {cloud.header.frame_id for cloud in clouds} == {'map'}
@@ -319,6 +323,48 @@ def test_a_node_that_still_loads_kernels_ends_without_waiting(make: Make, kind: 
     node.close()
     assert done == ['leave']
     node.close = lambda: None
+
+
+def test_pausing_ends_the_images_and_says_so(make: Make) -> None:
+    eye = make(TrackerNode)
+    eye._camera.begin()
+    eye._ready = True
+    assert 'paused' in eye._on_pause().result(0)
+    assert eye._judged()[0].message.startswith('paused')
+    assert not names(eye.subscriptions) & {f'/{topic}' for topic in CAMERA_TOPICS - INFO}
+    assert 'goes on' in eye._on_resume().result(0)
+    assert not eye._judged()[0].message.startswith('paused')
+    assert {f'/{topic}' for topic in CAMERA_TOPICS} <= names(eye.subscriptions)
+    assert {'pause', 'resume'} <= {s.srv_name.rpartition('/')[2] for s in eye.services}
+    eye._ready = False
+
+
+@pytest.mark.parametrize(('max_hz', 'tracked'), [(0.0, 6), (15.0, 3)])
+def test_frames_beyond_the_largest_rate_are_left_out(
+    make: Make, monkeypatch: pytest.MonkeyPatch, max_hz: float, tracked: int
+) -> None:
+    """A replay hears of them too."""
+    eye = make(TrackerNode, '-p', f'node.max_rate_hz:={max_hz}')
+    monkeypatch.setattr(tracker, 'warm_up', lambda *_: None)
+    eye._mapper.resumable = lambda _: None
+    eye._camera.reader.on_info('color', write_camera(CAMERA, header(7, 'optical')))
+    queue, seen, told = eye._camera.queue, list[Any](), list[Any]()
+    eye._track = seen.append
+    eye._outputs.progress = told.append
+    image = Image(header=header(7, 'optical'))
+    stamps, last = iter(range(7, 7 + 6 * 33_333_333, 33_333_333)), 7 + 5 * 33_333_333
+
+    def take(_: float) -> ImagePair[Image, Image]:
+        ns = next(stamps)
+        if ns == last:
+            queue.close()
+        return ImagePair(ns, image, ns, image)
+
+    queue.take = take
+    eye._work()
+    assert (len(seen), len(told)) == (tracked, 6)
+    assert eye._judged()[1]['left_out'] == 6 - tracked
+    eye._ready = False
 
 
 def test_reports_go_on_where_simulated_time_stands_still(make: Make) -> None:

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from launching import ROOT, launcher  # type: ignore[import-not-found]
 
-from dcgs_ros.core.config.nodes import ReplaySettings, TrackerSettings
-from dcgs_ros.core.config.schema import flatten
+from dcgs_ros.core.config.nodes import MapperSettings, ReplaySettings, TrackerSettings
+from dcgs_ros.core.config.schema import flatten, override
 
 VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 D435I = str(ROOT / 'config' / 'd435i.yaml')
@@ -61,10 +61,11 @@ def test_each_part_starts_on_request(
     assert (set(slam.nodes), len(slam.drivers)) == (nodes, drivers)
 
 
-def test_a_file_of_parameters_replaces_the_cameras_and_has_the_last_word(launch: Any) -> None:
+def test_a_file_of_parameters_has_the_last_word_after_the_cameras(launch: Any) -> None:
     slam = launch('slam', params='mine.yaml')
     assert slam.parameters('tracker')[-1] == 'mine.yaml'
-    assert slam.parameters('mapper') == ['mine.yaml']
+    assert slam.parameters('mapper') == [D435I, 'mine.yaml']
+    assert launch('slam', camera='none', params='mine.yaml').parameters('mapper') == ['mine.yaml']
     assert launch('slam', camera='none').parameters('mapper') == []
 
 
@@ -164,3 +165,63 @@ def test_topics_frame_tf_and_time_are_arguments_with_the_last_word(launch: Any) 
 def test_a_replay_waits_for_the_tracker_itself(launch: Any) -> None:
     """RViz or a recorder may subscribe to the camera's topics sooner."""
     assert launch('replay').parameters('replay')[0]['wait_for_node'] == 'dcgs_tracker'
+
+
+def test_topics_of_other_sensors_turn_their_priors_on(launch: Any) -> None:
+    given = {'imu_topic': 'camera/camera/imu', 'odom_topic': '/wheels'}
+    expected = {
+        'node.imu_topic': 'camera/camera/imu', 'priors.gyro': True,
+        'node.odometry_topic': '/wheels', 'priors.wheels': True,
+    }  # fmt: skip
+    for name in ('slam', 'replay'):
+        last: dict[str, object] = {}
+        for parameters in launch(name, **given).parameters('tracker')[-2:]:
+            last |= parameters
+        assert last == expected
+    assert expected.keys() <= flatten(TrackerSettings()).keys()
+    (driver,) = launch('slam', **given).drivers
+    assert dict(driver.named['launch_arguments'])['enable_gyro'] == 'true'
+    (driver,) = launch('slam', odom_topic='/wheels').drivers
+    assert 'enable_gyro' not in dict(driver.named['launch_arguments'])
+
+
+def test_a_robot_has_its_sensors_its_filter_and_a_grid_for_nav2(launch: Any) -> None:
+    robot = launch('robot')
+    assert set(robot.nodes) == {'tracker', 'mapper', 'ekf_node'}
+    assert ('grid', 'map') in robot.nodes['mapper'].named['remappings']
+    assert D435I in robot.parameters('tracker')
+    assert {'node.imu_topic': 'camera/camera/imu', 'priors.gyro': True} in (
+        robot.parameters('tracker')
+    )
+    (driver,) = robot.drivers
+    assert dict(driver.named['launch_arguments'])['enable_gyro'] == 'true'
+    file, clock = robot.parameters('ekf_node')
+    assert clock == {'use_sim_time': False}
+    (ekf,) = yaml.safe_load(Path(file).read_text()).values()
+    assert ekf['ros__parameters']['publish_tf'] is True
+    for name in ('odom0_config', 'imu0_config'):
+        assert len(ekf['ros__parameters'][name]) == 15
+
+
+def test_a_robot_may_have_its_own_filter_and_start_nav2(launch: Any) -> None:
+    robot = launch('robot', ekf='false', nav2_params='nav2.yaml', use_sim_time='true')
+    assert set(robot.nodes) == {'tracker', 'mapper'}
+    _, nav2 = robot.drivers
+    assert nav2.values[0].values[0] == '/nav2_bringup/launch/navigation_launch.py'
+    assert dict(nav2.named['launch_arguments']) == {
+        'params_file': 'nav2.yaml', 'use_sim_time': 'true',
+    }  # fmt: skip
+    assert {'use_sim_time': True} in robot.parameters('mapper')
+
+
+def test_the_robots_parameters_are_settings_of_the_nodes() -> None:
+    (file,) = yaml.safe_load((ROOT / 'config' / 'robot.yaml').read_text()).values()
+    given = {
+        f'{stage}.{name}': value
+        for stage, values in file['ros__parameters'].items()
+        for name, value in values.items()
+    }
+    tracker, mapper = flatten(TrackerSettings()), flatten(MapperSettings())
+    assert given.keys() <= tracker.keys() | mapper.keys()
+    for settings, known in ((TrackerSettings(), tracker), (MapperSettings(), mapper)):
+        override(settings, {key: str(value) for key, value in given.items() if key in known})

@@ -26,6 +26,8 @@ from dcgs_ros.io.trajectory import read_tum
 from dcgs_ros.nodes import tracker
 from dcgs_ros.nodes.health import Level
 from dcgs_ros.nodes.messages.ids import same_tracker
+from dcgs_ros.nodes.messages.images import header
+from dcgs_ros.nodes.messages.odometry import pose_with_covariance
 from dcgs_ros.nodes.messages.poses import matrix
 from dcgs_ros.nodes.tracker import TrackerNode
 from dcgs_ros.nodes.tracking import outputs
@@ -47,7 +49,9 @@ class Tf:
 
     send_static = send
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         assert (parent, child) == ('base_link', 'camera_color_optical_frame')
         return self.T
 
@@ -58,6 +62,10 @@ class Robot:
     def __init__(self, node: Any, tf: Tf) -> None:
         self.node, self.tf, self.sent = node, tf, list[Any]()
         node._outputs._odometry = SimpleNamespace(publish=self.sent.append)
+        self.infos = list[Any]()
+        node._frame_info._publisher = SimpleNamespace(
+            publish=self.infos.append, get_subscription_count=lambda: 1
+        )
         node._ready = True
 
     def track(self, shot: Shot) -> None:
@@ -148,6 +156,23 @@ def test_a_mount_that_comes_late_makes_all_right_that_follows(
     assert off_m(list(recorded.T_world_cam[:5]), true[:5]) < NEAR_M
 
 
+def test_where_the_base_is_said_to_be_elsewhere_it_is_not_taken_to_be_so(
+    robot: Callable[..., Robot], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """But it is looked for there, from the next frame on."""
+    one, taken = robot(), shots()
+    one.tf.T = MOUNT
+    for shot in taken[:3]:
+        one.track(shot)
+    elsewhere = se3.exp(np.array([5.0, 0, 0, 0, 0, 0]))
+    pose = pose_with_covariance(header(0, 'map'), elsewhere, np.zeros((6, 6)))
+    one.node._initial_pose._on_pose(pose)
+    for shot in taken[3:5]:
+        one.track(shot)
+    assert len(one.sent) == 3 and one.node._session.searching
+    assert 'looked for around' in capfd.readouterr().err
+
+
 def test_odom_waits_where_it_was_for_a_camera_that_is_lost(robot: Callable[..., Robot]) -> None:
     one, frames = robot('keyframes.new_submap_s:=1000.0'), list(SOURCE)
     one.tf.T = MOUNT
@@ -160,6 +185,8 @@ def test_odom_waits_where_it_was_for_a_camera_that_is_lost(robot: Callable[..., 
         )
         one.track(halved(dark, SOURCE.camera))
     assert len(one.sent) == 3 and odom._broken
+    said = [info.status[0].message for info in one.infos]
+    assert said == ['ok'] * 3 + ['lost'] * 3
     for shot in shots()[6:]:
         one.track(shot)
     assert len(one.sent) > 3

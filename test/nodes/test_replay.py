@@ -283,7 +283,7 @@ def test_a_real_sequence_arrives_whole(data_dir: Path) -> None:
 def test_depth_is_sent_in_millimetres_only_where_they_tell_all(
     tum_folder: Callable[..., Path],
 ) -> None:
-    playback = open_playback(str(tum_folder('fr1_small')), None, 'optical', lambda _: None)
+    playback = open_playback(str(tum_folder('fr1_small')), None, 'link', 'optical', lambda _: None)
     whole = np.full((480, 640), 1.234, np.float32)
     finer, farther = whole.copy(), whole.copy()
     finer[3, 5], farther[3, 5] = 1.2342, 65.536
@@ -301,21 +301,22 @@ def test_frames_that_cannot_be_read_are_told_and_left_out(tum_folder: Callable[.
     folder = tum_folder('small', frames=3)
     said: list[str] = []
     (folder / 'depth' / '1.png').write_bytes(b'no image')
-    playback = open_playback(str(folder), CAMERA, 'optical', said.append)
+    playback = open_playback(str(folder), CAMERA, 'link', 'optical', said.append)
     assert len(list(playback.items())) == 2
     assert len(said) == 1 and 'frame 2 of 3' in said[0]
 
 
 def test_a_synthetic_scene_may_have_options() -> None:
-    playback = open_playback('synthetic:plane?frames=2', None, 'optical', lambda _: None)
-    assert len(list(playback.items())) == 2
+    playback = open_playback('synthetic:plane?frames=2', None, 'link', 'optical', lambda _: None)
+    items = [item for _, item in playback.items()]
+    assert sum(isinstance(item, RgbdFrame) for item in items) == 2
 
 
 def test_a_bag_for_which_a_camera_is_given_is_converted(tmp_path: Path) -> None:
     path = str(write_bag(tmp_path / 'bag', recording(2)))
-    raw = open_playback(path, None, 'optical', lambda _: None)
+    raw = open_playback(path, None, 'link', 'optical', lambda _: None)
     assert raw.camera_frame == 'camera_color_optical_frame'
-    converted = open_playback(path, '60,61,32,24', 'optical', lambda _: None)
+    converted = open_playback(path, '60,61,32,24', 'link', 'optical', lambda _: None)
     assert converted.camera_frame == raw.camera_frame  # that of the images
     (_, frame), _ = converted.items()
     assert read_camera(dict(converted.messages(frame, 0))['camera_info']).fy == 61
@@ -325,7 +326,7 @@ def test_a_bag_in_another_unit_or_without_stamps_is_converted(tmp_path: Path) ->
     path = write_bag(tmp_path / 'bag', list(recording(4))[:-1])  # the last colour is missing
     said: list[str] = []
     converted = open_playback(
-        f'{path}?depth_per_metre=4000&rate_hz=10', None, 'optical', said.append
+        f'{path}?depth_per_metre=4000&rate_hz=10', None, 'link', 'optical', said.append
     )
     items = list(converted.items())
     assert [stamp_ns for stamp_ns, _ in items] == [0, 10**8, 2 * 10**8]
@@ -337,7 +338,7 @@ def test_a_bag_in_another_unit_or_without_stamps_is_converted(tmp_path: Path) ->
 def test_a_bag_of_compressed_images_is_converted(tmp_path: Path) -> None:
     entries = [entry for entry in recording(2) if entry.topic == INFO]
     path = str(write_bag(tmp_path / 'bag', [*entries, *compressed(2)]))
-    playback = open_playback(path, None, 'optical', lambda _: None)
+    playback = open_playback(path, None, 'link', 'optical', lambda _: None)
     assert playback.camera_frame == 'camera_color_optical_frame'
     for (_, frame), expected in zip(playback.items(), open_source(path), strict=True):
         assert isinstance(expected, RgbdFrame)

@@ -51,9 +51,10 @@ class StaticBroadcaster(Broadcaster):
 class Buffer:
     def __init__(self) -> None:
         self.known: dict[tuple[str, str], TransformStamped] = {}
+        self.asked_ns = 0  # 0: the latest there is
 
     def lookup_transform(self, target: str, source: str, when: Any) -> TransformStamped:
-        assert when.nanoseconds == 0  # the latest there is
+        self.asked_ns = when.nanoseconds
         if (target, source) not in self.known:
             raise UnknownFrameError
         return self.known[target, source]
@@ -90,7 +91,7 @@ def test_without_tf2_ros_that_is_said_once(monkeypatch: pytest.MonkeyPatch) -> N
     transforms: Transforms = make_transforms(node)
     assert type(transforms) is NoTransforms
     transforms.send(TransformStamped())
-    transforms.send_static(TransformStamped())
+    transforms.send_static([TransformStamped()])
     assert transforms.lookup('odom', 'camera_link') is None
     assert len(node.warnings) == 1 and 'TF' in node.warnings[0]
 
@@ -102,8 +103,8 @@ def test_where_there_is_tf2_ros_it_is_used(tf2: None) -> None:
     moving = transform('odom', 'camera_link', np.eye(4))
     fixed = transform('camera_link', 'optical', np.eye(4))
     transforms.send(moving)
-    transforms.send_static(fixed)
-    assert node.sent == [('Broadcaster', moving), ('StaticBroadcaster', fixed)]
+    transforms.send_static([fixed])
+    assert node.sent == [('Broadcaster', moving), ('StaticBroadcaster', [fixed])]
     assert node.warnings == []
 
 
@@ -118,3 +119,6 @@ def test_lookup_maps_the_child_to_its_parent(tf2: None) -> None:
     found = transforms.lookup('base', 'camera')
     assert found is not None
     np.testing.assert_allclose(found, T_base_cam, atol=EXACT)
+    assert node.buffer.asked_ns == 0
+    assert transforms.lookup('base', 'camera', 1_700_000_000_000_000_001) is not None
+    assert node.buffer.asked_ns == 1_700_000_000_000_000_001

@@ -31,7 +31,7 @@ from ...core.tracking.warmup import warm_up
 from ...datasets.readings import Readings
 from ...datasets.source import BadFrame
 from ...evaluation.report import FinalMap, RunRecord, SkippedFrame, TrackedFrame
-from ...io.known_places import features_of, keyframes_of, places_of
+from ...io.known_places import KnownView, features_of, keyframes_of, places_of
 from ...io.map_archive import SavedMap
 from ...io.sessions import SavedSession
 from ...io.snapshot import restore_mapper
@@ -80,14 +80,14 @@ def _closing(
 ) -> ClosingMode:
     """Create the back end, with what is known of the `known` map's places; or only those."""
     camera, config = tracker.camera, tracker.config
-    images = [
-        (view.keyframe, view.color_jpeg, view.depth_png)
+    views = [
+        KnownView(view.keyframe, view.color_jpeg, view.depth_png, view.features)
         for view in (() if known is None else known.keyframes)
         if view.keyframe >= 0
     ]
     if tracker.localize_only or not config.backend.loops:
         if known is not None:
-            features = features_of(images, known.camera, known.config.sensor)
+            features = features_of(views, known.camera, known.config.sensor)
             tracker.recogniser = places_of(features, camera, config)
         return NoClosing()
     with _explained_if_slow('dcgs: compiling kernels (once)'):
@@ -97,7 +97,8 @@ def _closing(
         saved, undistorted = known.tracker, replace(known.camera, distortion=())
         closing.restore(
             saved.stamps_ns.tolist(), saved.poses, saved.submaps.tolist(),
-            keyframes_of(images, saved), undistorted,
+            keyframes_of(views, saved), undistorted,
+            {view.keyframe: view.features for view in views if view.features is not None},
         )  # fmt: skip
     return closing
 

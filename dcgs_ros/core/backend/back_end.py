@@ -9,7 +9,8 @@ There is no thread in it. Who drives it calls `add` with each keyframe, which co
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..keyframe import Correction, Keyframe
 from ..tracking.relocalization import Recogniser
 from .closure import Closures
 from .consistency import Consistency, Loop
+from .features import Features
 from .keyframe_graph import BackEndError, KeyframeGraph
 
 # A Gaussian of the map is known to some 5 mm: its depth is, at a few metres, and a turn by 5 mrad
@@ -40,8 +42,16 @@ class LoopFinder(Protocol):
         """Recognises the places of the keyframes; may be called from any thread."""
         ...
 
-    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
-        """Keep what is needed of a keyframe; `camera` made its images, if it is another."""
+    def add(
+        self,
+        keyframe: Keyframe,
+        camera: PinholeCamera | None = None,
+        features: Features | None = None,
+    ) -> None:
+        """Keep what is needed of a keyframe.
+
+        `camera` made its images, if it is another; its `features` are found if they are not known.
+        """
         ...
 
     def close(self, keyframe: int) -> Sequence[Loop]:
@@ -111,17 +121,19 @@ class BackEnd:
         submaps: Sequence[int] = (),
         keyframes: Iterable[Keyframe] = (),
         camera: PinholeCamera | None = None,
+        features: Mapping[int, Features] = MappingProxyType({}),
     ) -> None:
         """Begin with the keyframes (K, 4, 4) of a map, which stay where they are to each other.
 
         `submaps` (K,) are those that each is in, by default all in one; loops may still join them.
         The tracker's next keyframe is to have the index K. Loops are found with those that are
-        among `keyframes`, whose images were made by `camera`, by default the tracker's. Raises
-        `BackEndError` if there are keyframes already.
+        among `keyframes`, whose images were made by `camera`, by default the tracker's, and whose
+        `features`, by index, may be known. Raises `BackEndError` if there are keyframes already.
         """
         self._graph.restore(stamps_ns, T_world_cam, submaps or [0] * len(stamps_ns))
         for keyframe in keyframes:
-            self._finder.add(keyframe, camera)
+            number = keyframe.odometry.keyframe if keyframe.odometry else -1
+            self._finder.add(keyframe, camera, features.get(number))
         self._told, self._told_submaps = self._graph.poses.copy(), list(self._graph.submaps)
 
     @property

@@ -27,7 +27,7 @@ from ..tracking.propagation import BiasVariance
 from ..tracking.registration import DepthTerm, register
 from ..tracking.uncertainty import PoseUncertainty, pose_uncertainty
 from .alignment import Alignment
-from .features import extract
+from .features import Features, extract
 from .neighbourhood import Neighbourhood
 from .places import Places, recognition
 
@@ -69,8 +69,16 @@ class Closures:
         self._neighbourhood = Neighbourhood()
         self._seen_again: tuple[int, int] | None = None  # the last keyframe, if one is like it
 
-    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
-        """Keep a keyframe's features, depth and odometry; `camera` made its images, if another."""
+    def add(
+        self,
+        keyframe: Keyframe,
+        camera: PinholeCamera | None = None,
+        features: Features | None = None,
+    ) -> None:
+        """Keep a keyframe's features, depth and odometry.
+
+        `camera` made its images, if it is another; its `features` are found if they are not known.
+        """
         odometry, frame, config = keyframe.odometry, keyframe.frame, self._config
         assert odometry is not None
         self._leave_out()
@@ -81,7 +89,8 @@ class Closures:
         like = self._neighbourhood.same_view(k, _same_view_m(cloud), among=self._clouds)
         self._seen_again = None if like is None else (k, like)
         self._clouds[k] = cloud
-        features = extract(frame, camera, config.sensor, moved, config.self_mask)
+        if features is None:
+            features = extract(frame, camera, config.sensor, moved, config.self_mask)
         self.places.add(k, features, is_new=like is None)
 
     def _leave_out(self) -> None:

@@ -11,6 +11,7 @@ views must tell the same, and clearly more of them than tell anything else.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -30,9 +31,9 @@ _CONTRADICTION_CHI2 = 22.46  # one right pair of 1000 is beyond
 _TELLING_M, _TELLING_RAD = 0.1, 0.1
 _VIEW_M, _VIEW_RAD = 0.5, 0.35  # apart: views of which each tells something of its own
 _VIEWS = 2  # that tell the same, at least
-# The less the odometry says of where the other place is, the more views: one for every 25 cm of
-# its standard deviation, up to where it says nothing at all.
-_VIEW_FOR_EVERY_M, _MOST_VIEWS = 0.25, 8
+# The vaguer the odometry is, the more places like this one are possible, and each further view is
+# taken to leave a quarter of them; up to where odometry says nothing at all.
+_LEFT_BY_A_VIEW, _MOST_VIEWS = 0.25, 6
 _MAJORITY = 2  # times as many views as tell anything else
 _PENDING = 64  # loops that wait for others, at most: the newest
 _REMEMBERED = 64  # impossible loops: the newest
@@ -199,8 +200,9 @@ class Consistency:
         against = set().union(*(member.against for member in members)) & self._pending.keys()
         others = [self._pending[serial].loop.b for serial in against]
         others += [loop.b for loop, gap in self._refuted if _is_alias(surest, loop, gap, poses)]
-        vague = min(_VIEWS + surest.prior.sigma_m / _VIEW_FOR_EVERY_M, _MOST_VIEWS)
-        wanted = max(1 if sure else vague, _MAJORITY * _views(others, poses))
+        wanted = max(
+            1.0 if sure else _views_for(surest.prior.sigma_m), _MAJORITY * _views(others, poses)
+        )
         ends = ([member.loop.a for member in members], [member.loop.b for member in members])
         return min(_views(end, poses) for end in ends) >= wanted
 
@@ -234,13 +236,22 @@ class Consistency:
             pending.against &= self._pending.keys()
 
 
-def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> int:
-    """Return how many of the keyframes' views are well apart from each other."""
-    chosen: list[int] = []
-    for k in sorted(set(keyframes)):
-        if all(_are_apart(poses[k], poses[other]) for other in chosen):
-            chosen.append(k)
-    return len(chosen)
+def _views(keyframes: Iterable[int], poses: NDArray[np.float64]) -> float:
+    """Return how many views the keyframes have: one that is near an earlier one counts in part."""
+    T = poses[sorted(set(keyframes))]
+    R, t = T[:, :3, :3], T[:, :3, 3]
+    far = np.linalg.norm(t[:, None] - t, axis=2)
+    cosines = 0.5 * (np.einsum('aij,bij->ab', R, R) - 1.0)
+    turned = np.arccos(np.clip(cosines, -1.0, 1.0))
+    apart = np.maximum(far / _VIEW_M, turned / _VIEW_RAD)
+    earlier = np.tri(len(T), k=-1, dtype=np.bool_)
+    return float(apart.min(axis=1, initial=1.0, where=earlier).sum())
+
+
+def _views_for(sigma_m: float) -> float:
+    """Return how many views have to tell the same where odometry is known to `sigma_m`."""
+    places = 1.0 + sigma_m / _TELLING_M
+    return min(_VIEWS - math.log(places) / math.log(_LEFT_BY_A_VIEW), _MOST_VIEWS)
 
 
 def _is_alias(pending: _Pending, loop: Loop, prior: Misfit, poses: NDArray[np.float64]) -> bool:
@@ -262,11 +273,6 @@ def _largest_sigma(covariance: NDArray[np.float64]) -> float:
     if not np.isfinite(covariance).all():
         return np.inf
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-
-
-def _are_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    xi = se3.log(se3.inverse(one) @ other)
-    return bool(np.linalg.norm(xi[:3]) >= _VIEW_M or np.linalg.norm(xi[3:]) >= _VIEW_RAD)
 
 
 def _moved(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

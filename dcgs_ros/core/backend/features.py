@@ -15,8 +15,8 @@ from ..camera import PinholeCamera
 from ..frame import RgbdFrame
 from ..self_mask import covered
 from ..sensor import SensorNoise
+from ..tracking.back_projection import back_projected, depth_at, in_range
 from ..tracking.estimator import to_grey
-from ..tracking.landmarks import back_projected, depth_at, in_range
 
 _CANDIDATES = 3000  # corners of an image from which the features are chosen
 _FAST = 8  # grey levels: ORB's default of 20 finds nothing in dim light
@@ -29,19 +29,16 @@ class Features:
     """Corners of an image, what they look like, and where they are."""
 
     descriptors: NDArray[np.uint8]  # (N, 32) ORB
-    pixels: NDArray[np.float32]  # (N, 2) distorted
     rays: NDArray[np.float32]  # (N, 2) undistorted x/z, y/z
     depths_m: NDArray[np.float32]  # (N,) at colour's instant; 0: none
 
     def __len__(self) -> int:
         """Return the number of features."""
-        return len(self.pixels)
+        return len(self.depths_m)
 
     def __getitem__(self, keep: NDArray[np.int64] | NDArray[np.bool_]) -> Features:
         """Return the features of a mask or of indices."""
-        return Features(
-            self.descriptors[keep], self.pixels[keep], self.rays[keep], self.depths_m[keep]
-        )
+        return Features(self.descriptors[keep], self.rays[keep], self.depths_m[keep])
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -77,7 +74,7 @@ def extract(
     still = np.zeros(6)
     z, rays = back_projected(pixels, guess, frame.depth_m, moved, still, camera, sensor)
     z = np.where(in_range(z, sensor), z, np.float32(0.0))
-    return Features(descriptors, pixels, rays[:, :2].astype(np.float32), z)
+    return Features(descriptors, rays[:, :2].astype(np.float32), z)
 
 
 @cache

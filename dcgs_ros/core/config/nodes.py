@@ -18,10 +18,13 @@ from .stages import Config
 class TrackerNodeSettings(Stage):
     """The tracker's node: frames, topics, memory and files."""
 
+    map_frame: str = described(
+        'map', 'Frame of the map, in which the base is right, but steps at corrections.'
+    )
     odom_frame: str = described(
         'odom',
         'Frame in which the base moves without steps; it drifts. It begins where the map has its '
-        'origin, which is in the frame map.',
+        'origin.',
     )
     base_frame: str = described(
         'camera_link', 'Frame of the robot, or of the camera itself, whose pose is published.'
@@ -32,11 +35,39 @@ class TrackerNodeSettings(Stage):
         'no other node does; map_to_odom (map to odom_frame only) if another node, such as wheel '
         'odometry, broadcasts odom_frame to base_frame; none.',
     )
+    tf_delay_s: float = ranged(
+        0.05,
+        0.005,
+        10,
+        'With tf map_to_odom: interval at which map to odom_frame is broadcast, lost or not, '
+        'seconds.',
+    )
+    tf_tolerance_s: float = ranged(
+        0.1,
+        0,
+        10,
+        'With tf map_to_odom: how far into the future that transform is dated, seconds.',
+    )
     base_to_camera: str = described(
         'auto',
         "Pose of the camera's optical frame in base_frame as 'x y z qx qy qz qw', metres and a "
         'unit quaternion; auto: from TF or, until it is there, a camera at the origin of '
         'base_frame that looks along its x axis.',
+    )
+    imu_topic: str = described(
+        'camera/camera/imu',
+        'Topic of the IMU for priors.gyro and priors.gravity; also listened to are gyro/sample '
+        'and accel/sample beside it, as realsense2_camera names them, with parallel axes.',
+    )
+    camera_to_imu: str = described(
+        'auto',
+        "Pose of the IMU's frame in the camera's optical frame as 'x y z qx qy qz qw'; auto: from "
+        'TF. Until it is known the IMU is not used.',
+    )
+    odometry_topic: str = described(
+        'odom',
+        'Topic of the wheel odometry for priors.wheels, of poses of its child frame; empty: TF '
+        'from odom_frame to base_frame, of another node.',
     )
     wait_for_transform_s: float = ranged(
         5.0,
@@ -60,6 +91,13 @@ class TrackerNodeSettings(Stage):
         'raw',
         'How depth is sent, likewise: compressedDepth subscribes to the topic of the raw image '
         'with /compressedDepth after it.',
+    )
+    max_rate_hz: float = ranged(
+        0.0,
+        0,
+        1000,
+        'Largest rate at which frames are tracked, hertz; others are left out evenly. Below 5 a '
+        'moving camera gets lost; 0: every frame.',
     )
     sync_slop_s: float = ranged(
         0.02, 0, 1, 'Largest difference of the stamps of colour and depth of one frame, seconds.'
@@ -131,7 +169,7 @@ class TrackerSettings(Config):
 class MapperNodeSettings(Stage):
     """The mapper's node: frames, rates and files."""
 
-    odom_frame: str = described('odom', "Frame that the map is in until a keyframe's pose tells.")
+    map_frame: str = described('map', "Frame that the map is in until a keyframe's pose tells.")
     map_rate_hz: float = ranged(
         0.1,
         0,
@@ -167,6 +205,9 @@ class MapperNodeSettings(Stage):
     )
     base_to_camera: str = described(
         'auto', 'Pose of the camera in base_frame, as of the tracker; auto: from TF.'
+    )
+    nice: int = ranged(
+        19, 0, 19, 'Niceness of the mapping thread on Linux; 19 gives way to all others.'
     )
     save_folder: str = described('runs', 'Folder in which each saved map gets its own folder.')
     save_on_exit: bool = described(False, 'Save the map at the end.')
@@ -240,5 +281,7 @@ class ReplaySettings(Stage):
         'camera_color_optical_frame', 'Frame of the images, z forward, x right.'
     )
     base_frame: str = described(
-        'camera_link', 'Frame that the camera is fixed to, x forward, z up; broadcast to TF once.'
+        'camera_link',
+        'Frame that the camera is fixed to, x forward, z up; broadcast to TF once, with those of '
+        'the sensors beside it, unless a bag tells what is.',
     )

@@ -213,6 +213,9 @@ class PriorsConfig(Stage):
     """Sensors beside the camera that tell its motion; they are off, so that images stand alone."""
 
     gyro: bool = described(False, "Whether the camera's rotation is predicted by a gyro.")
+    gravity: bool = described(
+        False, 'Whether roll and pitch are held from drifting by an IMU, whose gyro is used too.'
+    )
     wheels: bool = described(False, "Whether the camera's motion is predicted by wheel odometry.")
     planar_m: float | None = ranged(
         None,
@@ -224,6 +227,11 @@ class PriorsConfig(Stage):
     planar_deg: float = ranged(
         0.2, 0.01, 45, 'With planar_m: standard deviation of its roll and pitch, degrees.'
     )
+
+    @property
+    def needs_gyro(self) -> bool:
+        """Whether a gyro is used: it carries on what the accelerometer tells of up."""
+        return self.gyro or self.gravity
 
 
 @dataclass(frozen=True)

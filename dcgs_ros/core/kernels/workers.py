@@ -21,10 +21,15 @@ PIECES = 16
 _LOWEST_PRIORITY = 19  # of `nice`
 
 
-def give_way() -> None:
-    """Give the calling thread the lowest priority (on Linux, where threads have priorities)."""
+def give_way(nice: int = _LOWEST_PRIORITY) -> None:
+    """Lower the priority of the calling thread (on Linux, where threads have priorities).
+
+    It keeps a lower one that it has already: only root may raise it.
+    """
     if sys.platform == 'linux':
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LOWEST_PRIORITY)
+        thread = threading.get_native_id()
+        now = os.getpriority(os.PRIO_PROCESS, thread)
+        os.setpriority(os.PRIO_PROCESS, thread, max(now, nice))
 
 
 def cores() -> int:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..backend.features import Features
 from ..errors import FrameError
 from ..kernels.jit import kernel
 from ..kernels.workers import Workers
@@ -36,6 +37,7 @@ class KeyframeView:
     exposure: Exposure
     visits: int = 0  # optimisation steps so far
     keyframe: int = -1  # the tracker's number of it; -1 for a view between keyframes
+    features: Features | None = None  # by which its place is known again, once they are wanted
     reference_ns: int | None = None  # stamp of the keyframe that it moves with, if that is known
     _images: Images | None = None
     _encoded: tuple[bytes, bytes] | None = None
@@ -66,9 +68,10 @@ class KeyframeView:
         visits: int,
         keyframe: int,
         encoded: tuple[bytes, bytes],  # colour and depth, as `encoded` gives them
+        features: Features | None = None,
     ) -> KeyframeView:
         """Return a view as it was when it was saved."""
-        return cls(index, stamp_ns, *poses, exposure, visits, keyframe, _encoded=encoded)
+        return cls(index, stamp_ns, *poses, exposure, visits, keyframe, features, _encoded=encoded)
 
     @property
     def correction(self) -> NDArray[np.float64]:

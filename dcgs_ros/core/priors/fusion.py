@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..tracking.factors import NormalEquations, PosePrior
+from .gravity import UpPrior
 from .gyro import Turn
 from .planar import FloorPrior
 from .readings import MotionFactor
@@ -32,6 +33,7 @@ class Sensed:
     floor: FloorPrior | None = None
     T_base_cam: NDArray[np.float64] | None = None  # (4, 4), where wheels carry the camera
     tells_way: bool = False  # whether the wheels tell how far it went
+    up: UpPrior | None = None
 
     @property
     def spans(self) -> bool:
@@ -90,7 +92,10 @@ class Sensed:
             residual = se3.log(se3.inverse(T) @ T_said)
             g = information @ residual
             total = total + NormalEquations(information, g, float(residual @ g))
-        return total if self.floor is None else total + self.floor.normal_equations(T)
+        for term in (self.floor, self.up):
+            if term is not None:
+                total = total + term.normal_equations(T)
+        return total
 
 
 def is_likely(factor: MotionFactor, T_world_cam: NDArray[np.float64], hand: PosePrior) -> bool:

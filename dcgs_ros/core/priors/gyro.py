@@ -99,11 +99,10 @@ class Gyro:
 
     def reason(self, now_ns: int) -> str | None:
         """Return why the gyro cannot be used at a stamp; None: it can."""
-        last_ns = self._rates.last_ns
-        if last_ns is None:
-            return 'no reading yet'
-        if now_ns - last_ns > _HOLD_NS + _MOST_DELAY_S * 1e9:
-            return f'no reading for {(now_ns - last_ns) * 1e-9:.2f} s'
+        hold_ns = _HOLD_NS + round(_MOST_DELAY_S * 1e9)
+        lacks = self._rates.lacks(now_ns, hold_ns, 'reading')
+        if lacks is not None:
+            return lacks
         if self._equal >= _FROZEN:
             return f'frozen: {self._equal} equal readings'
         return self._monitor.reason

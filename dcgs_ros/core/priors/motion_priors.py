@@ -14,17 +14,20 @@ from ..config.stages import PriorsConfig
 from ..errors import DcgsError
 from ..tracking.motion import ConstantVelocity
 from .fusion import Sensed, is_likely
+from .gravity import Gravity
 from .gyro import Gyro
 from .planar import FloorPrior, on_floor
-from .readings import AngularRate, BasePose
+from .readings import AngularRate, Reading, SpecificForce
 from .wheels import Wheels
 
 _WINDOW_NS = 500_000_000  # over which images and sensors are compared: long against their noise
 _LONGEST_NS = 1_500_000_000  # with frames missing in between
+_NO_IMU = 'it is not known how the IMU is turned to the camera'
+_NO_BASE = 'it is not known where on the base the camera is'
 
 
 class PriorsError(DcgsError):
-    """A sensor is asked for that there is not."""
+    """A sensor is asked for whose place is not known."""
 
 
 @dataclass(frozen=True)
@@ -47,36 +50,71 @@ class MotionPriors:
     ) -> None:
         """Take the rotation (3, 3) of the IMU and the place (4, 4) of the camera on the base.
 
-        Raises `PriorsError` where the configuration asks for a sensor whose place is not given.
+        What is not known yet may come later, by `mount`.
         """
-        if config.gyro and R_cam_imu is None:
-            raise PriorsError('priors.gyro: it is not known how the IMU is turned to the camera')
-        if (config.wheels or config.planar_m is not None) and T_base_cam is None:
-            raise PriorsError(
-                'priors.wheels, priors.planar_m: it is not known where on the base the camera is'
-            )
-        self._config, self._T_base_cam = config, T_base_cam
-        self.gyro = Gyro(R_cam_imu) if config.gyro and R_cam_imu is not None else None
-        self.wheels = Wheels(T_base_cam) if config.wheels and T_base_cam is not None else None
+        self._config = config
+        self._T_base_cam: NDArray[np.float64] | None = None
+        self.gyro: Gyro | None = None
+        self.gravity: Gravity | None = None
+        self.wheels: Wheels | None = None
         self._floor: FloorPrior | None = None
+        self._T_world_first: NDArray[np.float64] | None = None  # where the camera's map began
         self._known: _Known | None = None
+        self.mount(R_cam_imu, T_base_cam)
+
+    def mount(
+        self,
+        R_cam_imu: NDArray[np.float64] | None = None,
+        T_base_cam: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Take where a sensor is, once that is known; what is sensed from then on is used."""
+        config = self._config
+        if config.needs_gyro and R_cam_imu is not None:
+            self.gyro = Gyro(R_cam_imu)
+        if config.gravity and R_cam_imu is not None and self.gyro is not None:
+            self.gravity = Gravity(R_cam_imu, self.gyro)
+        if T_base_cam is not None:
+            self._T_base_cam = T_base_cam
+            self.wheels = Wheels(T_base_cam) if config.wheels else None
+            if self._T_world_first is not None:
+                self._lay_floor(self._T_world_first)
+
+    @property
+    def unmounted(self) -> dict[str, str]:
+        """Of the sensors that the configuration asks for, those whose place is not known."""
+        config, no_base = self._config, self._T_base_cam is None
+        asked = {
+            'gyro': (config.needs_gyro and self.gyro is None, _NO_IMU),
+            'gravity': (config.gravity and self.gravity is None, _NO_IMU),
+            'wheels': (config.wheels and no_base, _NO_BASE),
+            'planar': (config.planar_m is not None and no_base, _NO_BASE),
+        }
+        return {name: why for name, (lacks, why) in asked.items() if lacks}
 
     @property
     def on_wheels(self) -> bool:
         """Whether wheels carry the camera: it cannot dart aside as in a hand."""
         return self._T_base_cam is not None
 
-    def sense(self, reading: AngularRate | BasePose) -> None:
+    def sense(self, reading: Reading) -> None:
         """Take a reading, in order of the stamps of its kind."""
         if isinstance(reading, AngularRate):
             if self.gyro is not None:
                 self.gyro.sense(reading)
+        elif isinstance(reading, SpecificForce):
+            if self.gravity is not None:
+                self.gravity.sense(reading)
         elif self.wheels is not None:
             self.wheels.sense(reading)
 
     def begin(self, T_world_cam: NDArray[np.float64]) -> None:
         """Take the floor from where the camera is when its map begins."""
-        self._known = None
+        self._known, self._T_world_first = None, T_world_cam
+        if self.gravity is not None:
+            self.gravity.begin()
+        self._lay_floor(T_world_cam)
+
+    def _lay_floor(self, T_world_cam: NDArray[np.float64]) -> None:
         planar_m, T_base_cam = self._config.planar_m, self._T_base_cam
         if planar_m is not None and T_base_cam is not None:
             self._floor = on_floor(T_world_cam, T_base_cam, planar_m, self._config.planar_deg)
@@ -90,22 +128,25 @@ class MotionPriors:
             turned = None if turn is None else gyro.factor(turn)
         if wheels is not None and wheels.reason(end_ns) is None:
             way = wheels.factor(start_ns, end_ns)
-        if turned is None and way is None and self._floor is None:
+        up = None if self.gravity is None else self.gravity.prior(end_ns)
+        if turned is None and way is None and self._floor is None and up is None:
             return None
         T, hand = motion.T_world_cam, motion.prior(end_ns)
         turned, way = (
             f if f is not None and is_likely(f, T, hand) else None for f in (turned, way)
         )
         factors = tuple(factor for factor in (turned, way) if factor is not None)
-        if not factors and self._floor is None:
+        if not factors and self._floor is None and up is None:
             return None
         turn = None if turned is None else turn
-        return Sensed(factors, turn, self._floor, self._T_base_cam, way is not None)
+        return Sensed(factors, turn, self._floor, self._T_base_cam, way is not None, up)
 
     def learn(
         self, stamp_ns: int, T_world_cam: NDArray[np.float64], covariance: NDArray[np.floating]
     ) -> None:
         """Compare with a pose (4, 4) that the images are sure of, covariance (6, 6)."""
+        if self.gravity is not None:
+            self.gravity.follow(stamp_ns, T_world_cam)
         now, known = _Known(stamp_ns, T_world_cam, covariance), self._known
         if known is None or not 0 < stamp_ns - known.stamp_ns <= _LONGEST_NS:
             self._known = now
@@ -122,13 +163,16 @@ class MotionPriors:
     def forget(self) -> None:
         """Forget the window: the images are not sure, or the map has moved."""
         self._known = None
+        if self.gravity is not None:
+            self.gravity.forget()
 
     def reasons(self, now_ns: int) -> dict[str, str]:
         """Return for each prior 'used', or why it is not, in words."""
-        sensors = {'gyro': self.gyro, 'wheels': self.wheels}
+        sensors = {'gyro': self.gyro, 'gravity': self.gravity, 'wheels': self.wheels}
         said = {
             name: sensor.reason(now_ns) or 'used'
             for name, sensor in sensors.items()
             if sensor is not None
         }
-        return said | ({'planar': 'used'} if self._floor is not None else {})
+        floor = {'planar': 'used'} if self._floor is not None else {}
+        return said | floor | self.unmounted

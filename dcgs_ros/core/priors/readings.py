@@ -26,11 +26,24 @@ class AngularRate:
 
 
 @dataclass(frozen=True)
+class SpecificForce:
+    """One measurement of an accelerometer."""
+
+    stamp_ns: int
+    force: NDArray[np.float64]  # (3,) m/s^2, in the IMU's frame: at rest it points up
+
+
+@dataclass(frozen=True)
 class BasePose:
     """One pose of the base by its wheels, in a frame that drifts but does not step."""
 
     stamp_ns: int
     T_odom_base: NDArray[np.float64]  # (4, 4); base: x forward, y left, z up
+    # (3,) of a velocity as it is published: forward and left, (m/s)^2, turn, (rad/s)^2.
+    variance: NDArray[np.float64] | None = None
+
+
+Reading = AngularRate | SpecificForce | BasePose
 
 
 @dataclass(frozen=True)
@@ -89,6 +102,20 @@ class Timeline:
     def last_ns(self) -> int | None:
         """Stamp of the last reading."""
         return self._stamps_ns[-1] if self._stamps_ns else None
+
+    def lacks(self, now_ns: int, hold_ns: int, what: str) -> str | None:
+        """Return why there is no reading of a stamp, in words with `what` a reading is, or None.
+
+        The last one stands for `hold_ns` after it.
+        """
+        if not self._stamps_ns:
+            return f'no {what} yet'
+        late_s, early_s = (now_ns - self._stamps_ns[-1]) * 1e-9, self._stamps_ns[0] - now_ns
+        if late_s * 1e9 > hold_ns:
+            return f'no {what} for {late_s:.2f} s'
+        if early_s > hold_ns:
+            return f'no {what} before {early_s * 1e-9:.2f} s after the images: of another clock'
+        return None
 
     def around(
         self, start_ns: int, end_ns: int

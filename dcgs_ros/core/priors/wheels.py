@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The camera's motion by the wheels under it, whose scales are estimated against the images.
 
-Wheels measure how the base moves over the floor: forward, sideways, turned. Of what is left, z,
-roll and pitch, they say nothing. Distances and turns are wrong by a share that slip, tyres and the
-distance between the wheels make, and that changes slowly: a Kalman filter follows both where the
-images are sure. A sudden slip is an innovation that contradicts.
+Wheels measure how the base moves over the floor: forward, sideways, turned. What is left, z, roll
+and pitch, changes by no more than an uneven floor makes of it. Distances and turns are wrong by a
+share that slip, tyres and the distance between the wheels make, and that changes slowly: a Kalman
+filter follows both where the images are sure. A sudden slip is an innovation that contradicts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from .innovation import InnovationMonitor, corrected
-from .readings import UNKNOWN, BasePose, MotionFactor, Timeline
+from .readings import BasePose, MotionFactor, Timeline
 
 _HOLD_NS = 60_000_000  # that the last pose may be old: three intervals at 50 Hz
 _GAP_NS = 500_000_000  # between two poses: slip and turns in it are not known
@@ -26,8 +26,12 @@ _SCALE_WALK = 0.005  # per sqrt(m) or sqrt(rad): standard deviation
 _SLIP = np.array([0.02, 0.02, 0.03])  # forward and sideways a metre, turn a radian; unforeseen
 _SIDEWAYS_PER_RAD = 0.005  # metres: a base that turns about a point that is not quite its origin
 _FLOOR = np.array([3e-4, 3e-4, 5e-4])  # m, m, rad: play, vibration, resolution of the encoders
+# z, roll and pitch of a base (m, rad, rad): steps of tiles, thresholds, the foot of a ramp of 5
+# degrees within half a metre; and vibration, however short the way.
+_UNEVEN = np.array([0.01, 0.03, 0.03])  # per sqrt(m)
+_SHAKE = np.array([1e-3, 2e-3, 2e-3])
 _IMAGES = np.array([2e-3, 2e-3, 3e-3])  # m, m, rad: error that their covariance may leave out
-_PLANE = [0, 1, 5]  # x, y and yaw of a twist
+_PLANE, _REST = [0, 1, 5], [2, 3, 4]  # x, y and yaw of a twist; z, roll and pitch
 
 
 class Wheels:
@@ -40,6 +44,7 @@ class Wheels:
         self._Ad_cam_base = se3.adjoint(self._T_cam_base)
         self._poses = Timeline()
         self._monitor = InnovationMonitor()
+        self._published = np.zeros(3)  # variance (3,) a second that the publisher claims
         self._begin_filter()
 
     def _begin_filter(self) -> None:
@@ -48,17 +53,18 @@ class Wheels:
 
     def reason(self, now_ns: int) -> str | None:
         """Return why the wheels cannot be used at a stamp; None: they can."""
-        last_ns = self._poses.last_ns
-        if last_ns is None:
-            return 'no pose yet'
-        if now_ns - last_ns > _HOLD_NS:
-            return f'no pose for {(now_ns - last_ns) * 1e-9:.2f} s'
-        return self._monitor.reason
+        return self._poses.lacks(now_ns, _HOLD_NS, 'pose') or self._monitor.reason
 
     def sense(self, reading: BasePose) -> None:
         """Take a pose; stamps ascend."""
-        if np.isfinite(reading.T_odom_base).all():
-            self._poses.add(reading.stamp_ns, reading.T_odom_base)
+        if not np.isfinite(reading.T_odom_base).all():
+            return
+        before_ns = self._poses.last_ns
+        self._poses.add(reading.stamp_ns, reading.T_odom_base)
+        if reading.variance is not None and before_ns is not None:
+            interval_ns = reading.stamp_ns - before_ns
+            if 0 < interval_ns < _GAP_NS:
+                self._published = reading.variance * interval_ns * 1e-9
 
     def pose(self, stamp_ns: int) -> NDArray[np.float64] | None:
         """Return T_odom_base (4, 4), interpolated along the twist; None: not measured."""
@@ -102,8 +108,9 @@ class Wheels:
             return None
         twist = self._corrected(measured)
         scales = np.sqrt(np.diag(self._P))[[0, 0, 1]]
-        noise, drift = np.full(6, UNKNOWN), np.zeros(6)  # variances, in the base's frame
-        noise[_PLANE] = _FLOOR**2
+        noise, drift = np.zeros(6), np.zeros(6)  # variances, in the base's frame
+        noise[_PLANE] = np.maximum(_FLOOR**2, self._published * (end_ns - start_ns) * 1e-9)
+        noise[_REST] = _SHAKE**2 + math.hypot(*twist[:2]) * _UNEVEN**2
         drift[_PLANE] = (self._slip(twist) + np.abs(twist[_PLANE]) * scales) ** 2
         T, Ad = self._T_cam_base @ se3.exp(twist) @ self._T_base_cam, self._Ad_cam_base
         return MotionFactor(T, (Ad * noise) @ Ad.T, (Ad * drift) @ Ad.T)

@@ -19,6 +19,7 @@ _EIGENVALUE = 9.0 * (8.0 / 3060.0) ** 2
 # Its response to white noise has standard deviation 6 (Immerkaer 1996), to a linear ramp zero.
 _LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 _LEAST_NOISE = 0.3  # grey levels: of rounding
+_ROWS_APART = 4  # rows of the Laplacian of which the median is taken: some 20 000 pixels
 _GRID = (6, 8)  # cells, down and across
 _FEW = 0.3  # share of the wanted corners below which a coarser image is searched too
 
@@ -70,9 +71,10 @@ def noise(grey: NDArray[np.uint8]) -> float:
 
     It is the median of the Laplacian of a Laplacian, which little of a scene's structure survives.
     """
-    response = np.abs(cv2.filter2D(grey, cv2.CV_16S, _LAPLACIAN)).ravel()
-    middle = len(response) // 2
-    return max(1.4826 * float(np.partition(response, middle)[middle]) / 6.0, _LEAST_NOISE)
+    response = np.abs(cv2.filter2D(grey, cv2.CV_16S, _LAPLACIAN)[::_ROWS_APART]).ravel()
+    below = np.cumsum(np.bincount(response))  # whole numbers, each of which stands for +-0.5
+    median = float(np.interp(0.5 * below[-1], below, np.arange(len(below)) + 0.5))
+    return max(1.4826 * median / 6.0, _LEAST_NOISE)
 
 
 def spread(pixels: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.int64]:

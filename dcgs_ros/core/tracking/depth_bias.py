@@ -161,13 +161,12 @@ def _terms(x, y, half_view, phi):
 @parallel_kernel
 def _write_gain(rays, half_view, theta, gain):
     """Write 1 / (1 + b) of the rays x/z, y/z (H, W, 2) into `gain` (H, W)."""
+    scale_x, scale_y = 1.0 / half_view[0], 1.0 / half_view[1]
+    t0, t1, t2, t3, t4 = theta[0], theta[1], theta[2], theta[3], theta[4]
     for v in prange(rays.shape[0]):
-        phi = np.empty(5)
         for u in range(rays.shape[1]):
-            _terms(rays[v, u, 0], rays[v, u, 1], half_view, phi)
-            b = 0.0
-            for k in range(5):
-                b += phi[k] * theta[k]
+            x, y = rays[v, u, 0] * scale_x, rays[v, u, 1] * scale_y
+            b = x * (t0 + t2 * y + t3 * x) + y * (t1 + t4 * y) - (t3 + t4) / 3.0
             gain[v, u] = 1.0 / (1.0 + b)
 
 

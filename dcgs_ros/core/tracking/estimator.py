@@ -172,7 +172,8 @@ def estimate(
     image = measured if len(landmarks) >= config.landmarks.min_factors else None
 
     # The landmarks alone give a start, where there are enough, and the motion within the frame.
-    start = _start(frame, memory, expected, prior, image, config)
+    known = not fresh and len(landmarks) >= config.landmarks.min_factors
+    start = _start(frame, memory, expected, prior, image, config, known)
     if image is not None and config.sensor.color_readout_ms > 0.0:
         measured = image = _measured(landmarks, frame, start.arrival, camera, config)
 
@@ -296,6 +297,7 @@ def _start(
     prior: PosePrior,
     image: PointFactors | None,
     config: Config,
+    known: bool = False,
 ) -> _Start:
     """Start from the landmarks, or else from the prediction.
 
@@ -304,11 +306,14 @@ def _start(
     would coast past all that its landmarks say.
 
     The motion between the two instants is uncertain, which limits what all the depth says. A mere
-    prediction is no better: there the depth has to find the pose by itself, without that limit.
+    prediction is no better: there the depth has to find the pose by itself, without that limit. It
+    has to look far only where the motion is not `known` from landmarks up to the last frame: what
+    lies ahead of the map's border is then matched with the border, which holds a camera back.
     """
     settings = config.registration
     if image is None:
-        return _Start(expected, settings.guess_radius_m, None)
+        search_m = settings.radius_m if known else settings.guess_radius_m
+        return _Start(expected, search_m, None)
     Q = memory.motion.passage_covariance(frame.stamp_ns, memory.lag_s(frame))
     T = start_from_landmarks(prior, image)
     return _Start(memory.arrival(frame, T), settings.radius_m, Q)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -106,7 +107,8 @@ class NormalEquations:
         It is marginalised: however many the points, their information on the pose is limited to
         that of Q.
         """
-        both = np.column_stack([self.H, self.g])
+        both = np.empty((6, 7))
+        both[:, :6], both[:, 6] = self.H, self.g
         solve(np.eye(6) + self.H @ Q, both)
         H, g = both[:, :6], both[:, 6]
         return NormalEquations(0.5 * (H + H.T), g, self.cost - float(self.g @ Q @ g))
@@ -155,7 +157,7 @@ class PosePrior:
         self, T_world_cam: NDArray[np.float64], uncertain: NDArray[np.float64] | None = None
     ) -> float:
         """Return the Mahalanobis distance of a pose (4, 4) that is `uncertain` (6, 6) as well."""
-        xi = se3.log(se3.inverse(self.T_world_cam) @ T_world_cam)
+        xi = se3.log(self._T_cam_world @ T_world_cam)
         covariance = np.diag(np.repeat([self.sigma_m**2, self.sigma_rad**2], 3))
         if uncertain is not None:
             covariance += uncertain
@@ -163,12 +165,19 @@ class PosePrior:
 
     def normal_equations(self, T_world_cam: NDArray[np.float64]) -> NormalEquations:
         """Return the term of the residual log(T^-1 T_prior), with the identity as Jacobian."""
-        residual = se3.log(se3.inverse(T_world_cam) @ self.T_world_cam)
-        information = np.repeat([self.sigma_m**-2, self.sigma_rad**-2], 3)
-        H, g = np.diag(information), information * residual
-        if self.sensed is not None:
-            H, g = H + self.sensed, g + self.sensed @ residual
-        return NormalEquations(H, g, float(residual @ g))
+        residual = -se3.log(self._T_cam_world @ T_world_cam)
+        g = self._information @ residual
+        return NormalEquations(self._information, g, float(residual @ g))
+
+    @cached_property
+    def _T_cam_world(self) -> NDArray[np.float64]:
+        return se3.inverse(self.T_world_cam)
+
+    @cached_property
+    def _information(self) -> NDArray[np.float64]:
+        """(6, 6) of the hand's motion and of the sensors together."""
+        of_hand = np.diag(np.repeat([self.sigma_m**-2, self.sigma_rad**-2], 3))
+        return of_hand if self.sensed is None else of_hand + self.sensed
 
 
 @dataclass(frozen=True)
@@ -355,6 +364,27 @@ def information(c, axis, perp, along, T):
     u1 = T[0, 1] * x + T[1, 1] * y + T[2, 1] * z
     u2 = T[0, 2] * x + T[1, 2] * y + T[2, 2] * z
     return _inverse_of_sum(c, u0, u1, u2, perp, along)
+
+
+@kernel
+def weighted_residual(point, c, target, axis, perp, along, T, huber):
+    """Return a pair's residual e (3) and w Omega^-1, xx xy xz yy yz zz, with Huber's weight w.
+
+    `point` (3,) camera, `target` (3,) world; the other arguments are those of `information`,
+    `huber` is delta as in `PointFactors`.
+    """
+    dx, dy, dz = target[0] - T[0, 3], target[1] - T[1, 3], target[2] - T[2, 3]
+    e0 = T[0, 0] * dx + T[1, 0] * dy + T[2, 0] * dz - point[0]
+    e1 = T[0, 1] * dx + T[1, 1] * dy + T[2, 1] * dz - point[1]
+    e2 = T[0, 2] * dx + T[1, 2] * dy + T[2, 2] * dz - point[2]
+    m00, m01, m02, m11, m12, m22 = information(c, axis, perp, along, T)
+    square = (
+        e0 * (m00 * e0 + 2.0 * (m01 * e1 + m02 * e2))
+        + e1 * (m11 * e1 + 2.0 * m12 * e2)
+        + m22 * e2 * e2
+    )
+    w = huber / math.sqrt(square) if square > huber * huber else 1.0
+    return (e0, e1, e2), (w * m00, w * m01, w * m02, w * m11, w * m12, w * m22)
 
 
 @kernel

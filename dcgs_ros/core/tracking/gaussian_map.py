@@ -235,16 +235,17 @@ class GaussianMap:
         camera: PinholeCamera,
         sensor: SensorNoise,
         keyframe: int,
-    ) -> int:
+    ) -> float:
         """Make T's optical centre the viewpoint of the Gaussians that a depth image (H, W) sees.
 
         Sigma_t is then the noise of the most recent observation (paper, tracking covariance), of
-        this keyframe. Return the number of Gaussians seen.
+        this keyframe. Return the `agreement`.
         """
-        seen = self._compared(T_world_cam, depth_m, camera, sensor) == _AGREES
+        verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
+        seen = verdicts == _AGREES
         self.viewpoints[seen] = T_world_cam[:3, 3]
         self._observers[: self._used][seen] = keyframe
-        return int(np.count_nonzero(seen))
+        return _agreement(verdicts)
 
     def agreement(
         self,
@@ -259,10 +260,7 @@ class GaussianMap:
         have been seen: if there are many, the pose is wrong, however well the frame fits the rest
         of the map.
         """
-        verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
-        seen = int(np.count_nonzero(verdicts == _AGREES))
-        looked_through = int(np.count_nonzero(verdicts == _LOOKED_THROUGH))
-        return seen / max(seen + looked_through, 1)
+        return _agreement(self._compared(T_world_cam, depth_m, camera, sensor))
 
     def _compared(
         self,
@@ -277,6 +275,12 @@ class GaussianMap:
             self.means, T, depth_m, camera.parameters, sensor.a_m, sensor.b_per_m, verdicts
         )  # fmt: skip
         return verdicts
+
+
+def _agreement(verdicts: NDArray[np.uint8]) -> float:
+    seen = int(np.count_nonzero(verdicts == _AGREES))
+    looked_through = int(np.count_nonzero(verdicts == _LOOKED_THROUGH))
+    return seen / max(seen + looked_through, 1)
 
 
 def _grown(array: NDArray[Scalar], needed: int) -> NDArray[Scalar]:

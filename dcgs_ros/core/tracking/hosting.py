@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernels.jit import kernel
-from .factors import information
+from .factors import weighted_residual
 from .registration import Registration
 from .uncertainty import FEIGNED_SIGMAS, sum_chance
 
@@ -112,9 +112,11 @@ def _held(
     of_depth, image = found.depth.targets.hosts, found.image
     of_image = np.empty(0, np.int32) if image is None else image.targets.hosts
     of_image = np.where(of_image < 0, last, of_image)
-    keyframes = np.unique(np.concatenate([of_depth[of_depth >= 0], of_image, [last]]))
+    matched = np.bincount(np.concatenate([of_depth + 1, of_image + 1, [last + 1]]))[1:] > 0
+    keyframes = np.flatnonzero(matched)
     held = np.zeros((len(keyframes), 6, 6))
-    slots = np.searchsorted(keyframes, of_depth)
+    places = np.cumsum(matched) - 1  # of each keyframe in `keyframes`
+    slots = places[of_depth]
     _sum_crossed(rows, slots, held)
     eigenvalues, U = np.linalg.eigh(_symmetric(held))
     chance = np.zeros((len(keyframes), 6))
@@ -122,12 +124,12 @@ def _held(
     certain = np.maximum(eigenvalues - FEIGNED_SIGMAS * np.sqrt(chance), 0.0)
     held = (U * certain[:, None]) @ U.transpose(0, 2, 1)
     if image is not None:
-        slots, t = np.searchsorted(keyframes, of_image), image.targets
+        slots, t = places[of_image], image.targets
         _sum_landmarks(
             image.points, image.covariances, t.points, t.axes, t.perp, t.along,
             found.T_world_cam, image.huber, image.weight, slots, held,
         )  # fmt: skip
-    held[np.searchsorted(keyframes, last)] += _PRIOR
+    held[places[last]] += _PRIOR
     return keyframes.astype(np.int32), held
 
 
@@ -159,20 +161,23 @@ def _sum_landmarks(
 
     The other arguments are those of `factors`.
     """
-    J, M, e = np.zeros((3, 6)), np.zeros((3, 3)), np.zeros(3)
-    J[0, 0] = J[1, 1] = J[2, 2] = 1.0
     for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        J[0, 4], J[0, 5], J[1, 3], J[1, 5], J[2, 3], J[2, 4] = z, -y, -z, x, y, -x
-        m = information(covariances[i], axes[i], perp[i], along[i], T)
-        M[0, 0], M[1, 1], M[2, 2] = m[0], m[3], m[5]
-        M[0, 1] = M[1, 0] = m[1]
-        M[0, 2] = M[2, 0] = m[2]
-        M[1, 2] = M[2, 1] = m[4]
-        for a in range(3):
-            e[a] = -points[i, a]
-            for b in range(3):
-                e[a] += T[b, a] * (targets[i, b] - T[b, 3])
-        square = e @ M @ e
-        robust = huber / np.sqrt(square) if square > huber * huber else 1.0
-        total[slots[i]] += weight * robust * (J.T @ M @ J)
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        _, (m00, m01, m02, m11, m12, m22) = weighted_residual(
+            points[i], covariances[i], targets[i], axes[i], perp[i], along[i], T, huber
+        )
+        block = total[slots[i]]
+        columns = (
+            (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, -z, y), (z, 0.0, -x),
+            (-y, x, 0.0),
+        )  # fmt: skip
+        for b, (j0, j1, j2) in enumerate(columns):
+            f0 = weight * (m00 * j0 + m01 * j1 + m02 * j2)
+            f1 = weight * (m01 * j0 + m11 * j1 + m12 * j2)
+            f2 = weight * (m02 * j0 + m12 * j1 + m22 * j2)
+            block[0, b] += f0
+            block[1, b] += f1
+            block[2, b] += f2
+            block[3, b] += y * f2 - z * f1
+            block[4, b] += z * f0 - x * f2
+            block[5, b] += x * f1 - y * f0

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,18 +17,15 @@ from ..config.stages import LandmarkConfig
 from ..kernels.jit import kernel
 from ..keyframe import Sightings
 from ..sensor import SensorNoise
+from .back_projection import NEAREST_M, back_projected, depth_at, in_range
 from .corners import corners
-from .factors import PointFactors, Targets, covariances_along_rays, observed_from
+from .factors import PointFactors, Targets, observed_from
 from .gaussian_map import GaussianMap
 from .patches import Patches, cut
 
-_FLAT_SLOPE = 0.03  # largest depth range of 3x3 pixels on one surface, share of depth ...
-_FLAT_NOISE = 8.0  # ... plus this many sigma_z
 _SPARE = 3  # corners searched for each one wanted: many have no depth
-_NEAREST_M = 0.05  # nearer landmarks have no meaningful projection
 _CONTRADICTS = 4.0  # standard deviations between a measured and an expected depth ...
 _ROUGH_M = 0.01  # ... plus this, metres
-_MIN_NEIGHBOURS = 6  # with depth, of the 3x3 pixels
 _KLT_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 0.03)
 
 
@@ -103,7 +101,7 @@ class Landmarks:
         if not len(self):
             return self
         before, after = self.seen_from(T_world_previous), self.seen_from(T_world_predicted)
-        ahead = (before[:, 2] > _NEAREST_M) & (after[:, 2] > _NEAREST_M)
+        ahead = (before[:, 2] > NEAREST_M) & (after[:, 2] > NEAREST_M)
         alive, after = self[ahead], after[ahead]
         if not len(alive):
             return alive
@@ -126,7 +124,7 @@ class Landmarks:
         sensor: SensorNoise,
     ) -> Sightings:
         """Return where a keyframe sees the corners, at colour's instant."""
-        expected = np.maximum(self.seen_from(T_world_cam)[:, 2], _NEAREST_M).astype(np.float32)
+        expected = np.maximum(self.seen_from(T_world_cam)[:, 2], NEAREST_M).astype(np.float32)
         z, rays = back_projected(
             self.pixels, expected, depth_m, T_cam_cam_at_depth, twist, camera, sensor
         )
@@ -149,20 +147,17 @@ class Landmarks:
         A corner without depth, or with one that contradicts what is expected, counts across its
         ray only; it stands at the expected depth, with a variance of 1 m^2 along the ray.
         """
-        expected = np.maximum(self.seen_from(T_world_predicted)[:, 2], _NEAREST_M)
+        expected = np.maximum(self.seen_from(T_world_predicted)[:, 2], NEAREST_M)
         measured, rays = back_projected(
-            self.pixels, expected.astype(np.float32), depth_m, T_cam_cam_at_depth, twist, camera,
-            sensor,
-        )  # fmt: skip
-        off = np.abs(measured - expected)
-        bearing = off > _CONTRADICTS * np.sqrt(2.0) * sensor.sigma(expected) + _ROUGH_M
-        bearing |= ~in_range(measured, sensor)
-        points = (rays * np.where(bearing, expected, measured)[:, None]).astype(np.float32)
-        ranges = np.linalg.norm(points, axis=1)
-        along = np.where(bearing, 1.0, np.square(sensor.sigma(ranges)))
-        covariances = covariances_along_rays(
-            points, np.square(config.sigma_px / camera.focal * ranges), along
+            self.pixels, expected, depth_m, T_cam_cam_at_depth, twist, camera, sensor
         )
+        points = np.empty((len(self), 3), np.float32)
+        covariances = np.empty((len(self), 6), np.float32)
+        limits = sensor.depth_min_m, sensor.depth_max_m
+        _measure(
+            rays, measured, expected, limits, sensor.a_m, sensor.b_per_m,
+            config.sigma_px / camera.focal, points, covariances,
+        )  # fmt: skip
         return PointFactors(points, covariances, self.targets, huber=config.huber, weight=weight)
 
 
@@ -238,71 +233,28 @@ def _klt(
     return found_at.reshape(-1, 2), status.ravel() > 0
 
 
-def back_projected(
-    pixels: NDArray[np.float32],  # (L, 2)
-    expected_m: NDArray[np.float32],  # (L,) expected depth
-    depth_m: NDArray[np.float32],  # (H, W)
-    T_cam_cam_at_depth: NDArray[np.float64],  # (4, 4)
-    twist: NDArray[np.float64],  # (6,) per second
-    camera: PinholeCamera,
-    sensor: SensorNoise,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return depths (L,) and rays (L, 3), z = 1, of corners at colour's instant; 0: no depth.
-
-    Colour's instant is that of its middle row. With a rolling shutter, a row that is exposed dt
-    later sees a point from exp(dt twist), which moves its ray.
-
-    The depth image was taken at another instant: a corner's depth is looked up where the camera's
-    motion puts its point at that instant, and the motion along the axis is added.
-    """
-    rays = np.column_stack([camera.undistort(pixels), np.ones(len(pixels), np.float32)])
-    if sensor.color_readout_ms > 0.0:
-        late = (pixels[:, 1:] + 0.5) / camera.height - 0.5
-        seen = rays * np.maximum(expected_m, _NEAREST_M)[:, None]
-        velocities = seen @ se3.hat(twist[3:]).T + twist[:3]
-        moved = seen + 1e-3 * sensor.color_readout_ms * late * velocities
-        rays = (moved / moved[:, 2:]).astype(np.float32)
-    there = rays * expected_m[:, None]
-    T_cam_at_depth_cam = se3.inverse(T_cam_cam_at_depth)
-    then = se3.transform(T_cam_at_depth_cam, there)
-    visible = then[:, 2] > 0.05
-    looked_up = np.zeros(len(pixels), np.float32)
-    looked_up[visible] = depth_at(
-        depth_m, camera.project(then[visible]), sensor.a_m, sensor.b_per_m
-    )
-    depth = np.where(looked_up > 0, looked_up + there[:, 2] - then[:, 2], 0.0)
-    return depth.astype(np.float32), rays
-
-
-def in_range(z: NDArray[np.float32], sensor: SensorNoise) -> NDArray[np.bool_]:
-    """Return which depths (L,), metres, are where the sensor measures."""
-    return (z > sensor.depth_min_m) & (z < sensor.depth_max_m)
-
-
 @kernel
-def depth_at(depth, pixels, noise_a, noise_b):
-    """Return (L,) float32, metres: the mean of the valid 3x3 depths at each pixel; 0 at an edge.
+def _measure(rays, measured, expected, limits, noise_a, noise_b, angle, points, covariances):
+    """Write the `points` (L, 3) and `covariances` (L, 6) of corners: xx xy xz yy yz zz.
 
-    `depth` (H, W) metres, `pixels` (L, 2) as x, y; `noise_a` in metres, `noise_b` in 1/metre.
+    `rays` (L, 3) with z = 1, `measured` and `expected` depths (L,) and the sensor's `limits` (2,)
+    in metres, `noise_a` in metres, `noise_b` in 1/metre, `angle` a corner's sigma in radians.
     """
-    height, width = depth.shape
-    out = np.zeros(pixels.shape[0], np.float32)
-    for i in range(pixels.shape[0]):
-        u, v = pixels[i, 0], pixels[i, 1]
-        if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
-            continue
-        x, y = int(u + 0.5), int(v + 0.5)
-        nearest, farthest, total, n = np.inf, 0.0, 0.0, 0
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                z = depth[y + dy, x + dx]
-                if 0.0 < z < np.inf:
-                    total += z
-                    n += 1
-                    nearest, farthest = min(nearest, z), max(farthest, z)
-        if n < _MIN_NEIGHBOURS:
-            continue
-        z = total / n
-        if farthest - nearest <= _FLAT_SLOPE * z + _FLAT_NOISE * (noise_a + noise_b * z * z):
-            out[i] = z
-    return out
+    for i in range(rays.shape[0]):
+        z, there = measured[i], expected[i]
+        rough = _CONTRADICTS * math.sqrt(2.0) * (noise_a + noise_b * there * there) + _ROUGH_M
+        bearing = not (limits[0] < z < limits[1] and abs(z - there) <= rough)
+        depth = there if bearing else z
+        x, y, z = rays[i, 0] * depth, rays[i, 1] * depth, rays[i, 2] * depth
+        range2 = x * x + y * y + z * z
+        perp = angle * angle * range2
+        along = 1.0 if bearing else (noise_a + noise_b * range2) ** 2
+        k = (along - perp) / range2
+        points[i, 0], points[i, 1], points[i, 2] = x, y, z
+        covariances[i, 0], covariances[i, 1], covariances[i, 2] = (
+            perp + k * x * x,
+            k * x * y,
+            k * x * z,
+        )
+        covariances[i, 3], covariances[i, 4] = perp + k * y * y, k * y * z
+        covariances[i, 5] = perp + k * z * z

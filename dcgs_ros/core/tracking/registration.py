@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -168,9 +169,10 @@ def register(
         pairs = depth.associate(T, search_m)
         T = descend(T, [pairs, *others], _STEPS_AN_ASSOCIATION)
         moved = se3.inverse(before) @ T
-        turned = np.linalg.norm(moved[:3, :3] - np.eye(3)) / np.sqrt(2.0)
-        still = np.linalg.norm(moved[:3, 3]) < settings.tolerance_m
-        if still and turned < settings.tolerance_rad and search_m == settings.radius_m:
+        way = se3.log(moved)
+        still = math.hypot(*way[:3]) < settings.tolerance_m
+        turned = math.hypot(*way[3:]) >= settings.tolerance_rad
+        if still and not turned and search_m == settings.radius_m:
             break
         search_m = max(0.5 * search_m, settings.radius_m)
     T = se3.orthonormalised(T)
@@ -180,7 +182,8 @@ def register(
     if by_image is not None:
         equations = equations + by_image
     chi2 = chi2[pairs.targets.perp >= 0]
-    median = float(np.median(chi2)) if len(chi2) else np.inf
+    middle = len(chi2) // 2
+    median = float(np.partition(chi2, middle)[middle]) if len(chi2) else np.inf
     return Registration(T, pairs, image, equations, by_image, sharp_depth, len(chi2), median)
 
 

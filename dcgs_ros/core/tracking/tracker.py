@@ -19,16 +19,15 @@ from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
 from ..priors.motion_priors import MotionPriors
-from ..priors.readings import AngularRate, BasePose
+from ..priors.readings import Reading
 from ..self_mask import without_robot
 from .claims import Claim, Clocks, PoseClaims
-from .corners import spread
-from .depth_bias import DepthBias
 from .estimator import Estimate, Memory, RegisteredFrame, estimate, to_grey
+from .expectation import ExpectedPlace
 from .gaussian_map import GaussianMap
-from .hosting import Hosts, hosts_of
-from .keyframes import KeyframePolicy, candidates, spawn
-from .landmarks import Landmarks, detect
+from .growing_map import GrowingMap
+from .hosting import Hosts
+from .landmarks import Landmarks
 from .motion import ColorDepthOffset, ConstantVelocity
 from .observability import observability
 from .registration import Registration
@@ -37,7 +36,7 @@ from .result import Reference, TrackingState, TrackResult
 from .search import Known, Search
 from .standstill import Standstill
 from .uncertainty import PoseUncertainty
-from .verification import Evidence, Usual, is_repetition, weigh
+from .verification import Evidence, Usual, is_repetition, repeats_depth, weigh
 from .visited import UNKNOWN, Visited, origin
 
 _MAX_LAG_S = 0.1  # between colour and depth of one frame
@@ -68,7 +67,7 @@ class Tracker:
         self.camera = camera
         self.config = config or Config()
         self._config = self.config.scaled_to(camera.width, camera.height)
-        self.gaussians = GaussianMap(2.0 * self._config.registration.radius_m)
+        self._map = GrowingMap(camera, self._config)
         self._T_world_first = np.eye(4) if T_world_first is None else T_world_first
         self._begun = False
         self._first: RgbdFrame | None = None  # until the second frame tells its velocity
@@ -76,14 +75,9 @@ class Tracker:
         self._received: RgbdFrame | None = None  # the last frame, lost or not
         self._offset = ColorDepthOffset(self._config.timing)
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
-        self._policy = KeyframePolicy(self._config.keyframes)
-        self._visited = Visited()  # the keyframes
-        self._next_landmark = 0  # id
         self._T_uncorrected_world = np.eye(4)
-        self._host = 0  # the keyframe that the camera is placed relative to
         self._claims = PoseClaims(camera, self._config)
         self._standstill: Standstill | None = None  # while images repeat, and may
-        self._depth_bias = DepthBias(camera, self._config.sensor.depth_bias)
         self._held: list[Keyframe] = []  # made, but not handed over with a result yet
         self._search: Search | None = None  # while the camera's place is not known
         self._trial: Tracker | None = None  # in what may become a sub-map
@@ -97,7 +91,7 @@ class Tracker:
         self._seen_ns = 0  # stamp of the last frame that was tracked
         self.threads = jit.set_threads(self._config.threads)
 
-    def sense(self, reading: AngularRate | BasePose) -> None:
+    def sense(self, reading: Reading) -> None:
         """Take what another sensor measured, before the frames that were taken later."""
         self.priors.sense(reading)
 
@@ -110,7 +104,8 @@ class Tracker:
         self._check(frame)
         self._stamp_ns = frame.stamp_ns
         repeated = self._received is not None and is_repetition(frame, self._received)
-        self._received, frame = frame, self.corrected(frame)
+        self._received = self._with_depths_instant(frame)
+        frame = self.corrected(self._received)
         if not self._begun:
             return self._begin(frame)
         sensed = self.priors.since(self._memory.motion, frame.stamp_ns)
@@ -139,11 +134,13 @@ class Tracker:
         self._accept(found, evidence)
         claim = self._claim(found, uncertainty)
         sure = not self._unconfirmed and not evidence.doubtful
-        keyframe = sure and not self.localize_only and self._is_keyframe(found)
+        keyframe = (
+            sure and not self.localize_only and self._map.wants_keyframe(found, self._memory)
+        )
         if keyframe:
             self._held.append(self._extend_map(found.registered, last, claim))
-        elif found.fresh and self._runs_out_of_landmarks():
-            self._anchor_landmarks(found.registered)
+        elif found.fresh and self._map.lacks_landmarks(self._memory):
+            self._memory = self._map.with_landmarks(self._memory, found.registered)
         result = self._result(found, uncertainty, claim, keyframe)
         if sure and result.state is TrackingState.OK:
             self.priors.learn(frame.stamp_ns, result.T_world_cam, result.covariance)
@@ -167,7 +164,7 @@ class Tracker:
         T, covariance = self.T_world_cam, limit.covariance
         self._memory = replace(self._memory, motion=motion.advanced(T, stamp_ns))
         state = TrackingState.DEGENERATE if self._claims.exceeds(covariance) else TrackingState.OK
-        in_world = self._visited.in_world(T, Hosts.only(self._host, covariance))
+        in_world = self._map.in_world(T, covariance)
         return TrackResult(
             stamp_ns, T, np.eye(4), covariance, in_world,
             TrackingState.RELOCALISED if self._unconfirmed else state, None, 0, 0,
@@ -176,8 +173,8 @@ class Tracker:
         )  # fmt: skip
 
     def corrected(self, frame: RgbdFrame) -> RgbdFrame:
-        """Return the frame with its depth as the tracker believes it (`DepthBias`), if at all."""
-        return self._depth_bias.corrected(without_robot(frame, self.config.self_mask))
+        """Return the frame with its depth as the tracker believes it, without the robot itself."""
+        return self._map.depth_bias.corrected(without_robot(frame, self.config.self_mask))
 
     def flush(self) -> tuple[Keyframe, ...]:
         """Hand over what no result has yet: the first keyframe, where no second frame came."""
@@ -201,10 +198,9 @@ class Tracker:
         """
         self._usual = usual or self._usual
         if depth_bias is not None and depth_bias.any():
-            self._depth_bias.correct_by(depth_bias)
-        self.gaussians, self._begun = gaussians, True
-        self._visited.reset(stamps_ns, poses, submaps, odometries)
-        self._depth_bias.reset(poses)
+            self._map.depth_bias.correct_by(depth_bias)
+        self._begun = True
+        self._map.resume(gaussians, poses, stamps_ns, submaps, odometries)
         self._memory = self._forgotten(ConstantVelocity.at_rest(poses[-1]))
         self.interrupt()
 
@@ -224,14 +220,11 @@ class Tracker:
 
         To be called between two frames.
         """
-        motions = self._visited.correct(correction)
+        motions = self._map.correct(correction)
         self.revision = correction.revision
-        here = motions[self._host]
+        here = motions[self._map.host]
         self.priors.forget()
         self._T_uncorrected_world = self._T_uncorrected_world @ se3.inverse(here)
-        self.gaussians.move(motions)
-        self._depth_bias.move(self._visited.poses)
-        self._policy.move(here)
         self._held = [keyframe.moved(here) for keyframe in self._held]
         self._memory = self._memory.moved(motions, here)
         self._claims.move(here)
@@ -248,6 +241,19 @@ class Tracker:
             self._memory = self._forgotten(ConstantVelocity.at_rest(self.T_world_cam))
             self._lose()
 
+    def expect(self, place: ExpectedPlace) -> bool:
+        """Look for the camera where somebody says that it is, before anywhere else.
+
+        It is taken to be there only if it could be found there without. Return whether it is
+        looked for: not where it is tracked within the place already, nor before there is a map.
+        """
+        tracked_there = self._search is None and place.admits(self.T_world_cam)
+        if not self._begun or tracked_there:
+            return False
+        self.interrupt()
+        self._lose(place)
+        return True
+
     def reconfigure(self, config: Config) -> None:
         """Go on with other settings; sensor, ablation, threads and timing stay as they were."""
         kept = {
@@ -258,12 +264,17 @@ class Tracker:
         self._config = self._claims.config = self.config.scaled_to(
             self.camera.width, self.camera.height
         )
-        self._policy.config = self._config.keyframes
+        self._map.reconfigure(self._config)
 
     @property
     def T_world_cam(self) -> NDArray[np.float64]:
         """(4, 4) last good pose."""
         return self._memory.motion.T_world_cam
+
+    @property
+    def gaussians(self) -> GaussianMap:
+        """The Gaussians that frames are registered against."""
+        return self._map.gaussians
 
     @property
     def usual(self) -> Usual:
@@ -273,12 +284,12 @@ class Tracker:
     @property
     def depth_bias(self) -> NDArray[np.float64]:
         """(5,) theta of `DepthBias`, that depth is corrected by."""
-        return self._depth_bias.theta
+        return self._map.depth_bias.theta
 
     @property
     def visited(self) -> Visited:
         """The keyframes; not to be changed."""
-        return self._visited
+        return self._map.visited
 
     @property
     def corrected_poses(self) -> Correction:
@@ -286,22 +297,22 @@ class Tracker:
 
         It is what the mapper should get, so that both have one world.
         """
-        return self._visited.as_correction(self.revision)
+        return self.visited.as_correction(self.revision)
 
     @property
     def keyframes(self) -> int:
         """How many keyframes the map has."""
-        return len(self._visited)
+        return len(self.visited)
 
     @property
     def keyframe_poses(self) -> NDArray[np.float64]:
         """(K, 4, 4) T_world_cam of the keyframes, as corrected so far."""
-        return np.array(self._visited.poses).reshape(-1, 4, 4)
+        return np.array(self.visited.poses).reshape(-1, 4, 4)
 
     @property
     def keyframe_submaps(self) -> NDArray[np.int32]:
         """(K,) in which sub-map each keyframe is; those that were joined have one number."""
-        return np.array(self._visited.submaps, np.int32)
+        return np.array(self.visited.submaps, np.int32)
 
     @property
     def searching(self) -> bool:
@@ -313,16 +324,29 @@ class Tracker:
         """Landmarks alive, where they are in the last image and in the world."""
         return self._memory.landmarks
 
-    def _lose(self) -> Search:
+    def _lose(self, expected: ExpectedPlace | None = None) -> Search:
         """Forget what holds from frame to frame, and begin to look for the camera in the map."""
         self._first = self._trial = None
         self._agreed = 0
         self._memory = replace(self._forgotten(self._memory.motion), sensed=self._memory.sensed)
         self.priors.forget()
         self._search = Search(
-            self.camera, self._memory.motion, self._visited, self._usual, self.recogniser
-        )
+            self.camera, self._memory.motion, self.visited, self._usual, self.recogniser,
+            expected,
+        )  # fmt: skip
         return self._search
+
+    def _with_depths_instant(self, frame: RgbdFrame) -> RgbdFrame:
+        """Return the frame with the stamp of the last one's depth, where the image is that one.
+
+        Taken for new it would say that a camera that goes on stands still.
+        """
+        last = self._received
+        if last is None or not repeats_depth(frame, last):
+            return frame
+        if frame.stamp_ns - last.depth_stamp_ns > _MAX_LAG_S * 1e9:
+            return frame
+        return replace(frame, depth_stamp_ns=last.depth_stamp_ns)
 
     def _check(self, frame: RgbdFrame) -> None:
         height, width = frame.depth_m.shape
@@ -367,9 +391,7 @@ class Tracker:
         twist: NDArray[np.float64],
     ) -> Keyframe:
         """Start the map from one frame, of a camera that moves with `twist`."""
-        self.gaussians = GaussianMap(2.0 * self._config.registration.radius_m)
-        self._visited.reset()
-        self._depth_bias.reset(())
+        self._map.begin()
         return self._start_submap(frame, grey, T_world_cam, twist, Claim.certain())
 
     def _start_submap(
@@ -444,9 +466,9 @@ class Tracker:
 
     def _begin_submap(self, frame: RgbdFrame, twist: NDArray[np.float64]) -> TrackResult:
         """Begin a sub-map where the camera was last, for want of a better place."""
-        submap = max(self._visited.submaps) + 1
+        submap = max(self.visited.submaps) + 1
         T = self.T_world_cam.copy()
-        T[:3, 3] += origin(submap) - origin(self._visited.submaps[self._host])
+        T[:3, 3] += origin(submap) - origin(self._map.submap)
         self._search, self._trial, self._usual = None, None, Usual()
         self._unconfirmed = 0
         claim = Claim(np.zeros((6, 6)), UNKNOWN, Hosts.none(), submap)
@@ -463,14 +485,14 @@ class Tracker:
         registered, best = found.registered, found.registration
         T, stamp_ns = registered.T_world_cam, registered.frame.stamp_ns
         self._search, self._trial, self._unconfirmed = None, None, _CONFIRMATIONS
-        self._host = int(np.bincount(best.hosts).argmax())
+        self._map.host = int(np.bincount(best.hosts).argmax())
         self._memory = replace(
             self._forgotten(ConstantVelocity.at_rest(T, stamp_ns)),
             last=registered, image=registered, overlap=best.overlap,
         )  # fmt: skip
         self._claims.forget()
-        self._anchor_landmarks(registered)
-        self._policy.took(T, stamp_ns, len(self.landmarks))
+        self._memory = self._map.with_landmarks(self._memory, registered)
+        self._map.goes_on_at(registered, len(self.landmarks))
         return self._result(found, uncertainty, self._claim(found, uncertainty), False)
 
     def _lost(self, frame: RgbdFrame, found: Registration | None = None) -> TrackResult:
@@ -480,8 +502,7 @@ class Tracker:
         carried = self._carries(frame.stamp_ns)
         if carried and self._claims.limit is not None:
             state, covariance = TrackingState.DEGENERATE, self._claims.limit.covariance
-            hosts = Hosts.only(self._host, covariance)
-            in_world = self._visited.in_world(self.T_world_cam, hosts)
+            in_world = self._map.in_world(self.T_world_cam, covariance)
         return TrackResult(
             frame.stamp_ns, self.T_world_cam, np.eye(4), covariance, in_world, state, None,
             points, inliers, 0, False, self.flush(), 1e3 * self._offset.seconds,
@@ -518,7 +539,7 @@ class Tracker:
         """Learn from an estimate: the motion, colour's offset to depth, which landmarks hold."""
         if not evidence.doubtful:
             if not self._unconfirmed:
-                self._depth_bias.observe(found.registration)
+                self._map.depth_bias.observe(found.registration)
             self._unconfirmed = max(self._unconfirmed - evidence.confirms, 0)
             if found.sees_depth(self._config):
                 self._usual = self._usual.with_frame(found.registration)
@@ -537,77 +558,14 @@ class Tracker:
             memory.sensed,
         )  # fmt: skip
 
-    def _is_keyframe(self, found: Estimate) -> bool:
-        turn_rad_s = float(np.linalg.norm(self._memory.motion.twist[3:]))
-        return self._policy.wants(
-            found.registered.T_world_cam, found.registered.frame.stamp_ns, turn_rad_s,
-            found.registration.overlap, len(self.landmarks),
-        )  # fmt: skip
-
     def _extend_map(
         self, registered: RegisteredFrame, last: RegisteredFrame | None, claim: Claim
     ) -> Keyframe:
-        """Refresh Sigma_t of the Gaussians in view, spawn new ones, anchor new landmarks.
-
-        Points spawn only where the `last` frame's depth, if there is one, confirms them.
-        """
-        config, frame, T = self._config, registered.frame, registered.T_world_cam
         self._offset.map_changes()
-        T_world_depth = T @ registered.T_cam_cam_at_depth
-        if last is not None:  # else there is no map yet to agree with
-            agreement = self.gaussians.agreement(
-                T_world_depth, frame.depth_m, self.camera, config.sensor
-            )
+        keyframe, self._memory, agreement = self._map.extend(registered, last, claim, self._memory)
+        if last is not None:  # else there was no map yet to agree with
             self._usual = self._usual.with_keyframe(agreement)
-        odometry = self._visited.odometry(
-            T, claim.submap, claim.covariance, claim.hosts, self._host,
-            config.registration.guess_radius_m,
-        )  # fmt: skip
-        keyframe = self._host = odometry.keyframe
-        self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor, keyframe)
-        cloud = candidates(registered, last, self.camera, config)
-        ids = spawn(
-            cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, keyframe,
-            self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
-        )  # fmt: skip
-        self._anchor_landmarks(registered, keyframe)
-        self._policy.took(T, frame.stamp_ns, len(self.landmarks))
-        self._visited.add(frame.stamp_ns, T, odometry, claim.in_world)
-        self._depth_bias.add_keyframe(T)
-        means, normals = self.gaussians.of(ids)
-        sightings = self.landmarks.sighted(
-            frame.depth_m, T, registered.T_cam_cam_at_depth, registered.twist, self.camera,
-            config.sensor,
-        )  # fmt: skip
-        return Keyframe(
-            frame, T, registered.T_cam_cam_at_depth, ids, means, normals, odometry, sightings,
-            claim.submap,
-        )  # fmt: skip
-
-    def _runs_out_of_landmarks(self) -> bool:
-        """Return whether they are few, or missing where there were some, since the detection."""
-        spread_then, share = self._memory.spread, self._config.landmarks.replenish
-        if spread_then is None:
-            return False
-        left = spread(self.landmarks.pixels, (self.camera.height, self.camera.width))
-        if len(self.landmarks) < share * spread_then.sum():
-            return True
-        return bool(np.any(left < 0.5 * spread_then - 1.0))
-
-    def _anchor_landmarks(self, registered: RegisteredFrame, host: int = -1) -> None:
-        """Detect new landmarks, and anchor them in the map; `host` is the frame's keyframe."""
-        if not self._config.uses_landmarks:
-            return
-        new = detect(
-            registered.grey, registered.frame.depth_m, self.landmarks, registered.T_world_cam,
-            registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
-            self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
-        )  # fmt: skip
-        new = replace(new, ids=self._next_landmark + np.arange(len(new)))
-        self._next_landmark += len(new)
-        landmarks = self.landmarks.joined(new)
-        there = spread(landmarks.pixels, (self.camera.height, self.camera.width))
-        self._memory = replace(self._memory, landmarks=landmarks, spread=there)
+        return keyframe
 
     def _result(
         self,
@@ -633,12 +591,12 @@ class Tracker:
         )  # fmt: skip
 
     def _reference(self, T_world_cam: NDArray[np.float64]) -> Reference | None:
-        if not self._visited.poses:
+        visited, host = self.visited, self._map.host
+        if not visited.poses:
             return None
-        T_keyframe_cam = se3.inverse(self._visited.poses[self._host]) @ T_world_cam
         return Reference(
-            self._host, T_keyframe_cam, self._visited.submaps[self._host],
-            self._visited.stamps_ns[self._host], self.revision, self._T_uncorrected_world,
+            host, self._map.relative_to_host(T_world_cam), self._map.submap,
+            visited.stamps_ns[host], self.revision, self._T_uncorrected_world,
         )  # fmt: skip
 
     def _claim(self, found: Estimate, uncertainty: PoseUncertainty) -> Claim:
@@ -646,9 +604,7 @@ class Tracker:
         T, stamp_ns = found.registered.T_world_cam, found.registered.frame.stamp_ns
         sensed = () if self._memory.sensed is None else self._memory.sensed.factors
         covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks, sensed)
-        hosts = hosts_of(found.registration, uncertainty.rows, covariance, self._host)
-        in_world = self._visited.in_world(T, hosts)
-        return Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
+        return self._map.claim(found, uncertainty, covariance)
 
     @property
     def _clocks(self) -> Clocks:

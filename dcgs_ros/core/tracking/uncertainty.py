@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..kernels.jit import kernel
-from .factors import PointFactors, information, plane_residual
+from .factors import PointFactors, plane_residual, weighted_residual
 from .registration import Registration
 
 _COLUMNS, _ROWS = 8, 6  # cells of the image: 80 px of 640x480
@@ -267,24 +267,20 @@ def _sum_image(points, covariances, targets, axes, perp, along, T, huber, view, 
         if perp[i] < 0.0:
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        dx, dy, dz = targets[i, 0] - T[0, 3], targets[i, 1] - T[1, 3], targets[i, 2] - T[2, 3]
-        e0 = T[0, 0] * dx + T[1, 0] * dy + T[2, 0] * dz - x
-        e1 = T[0, 1] * dx + T[1, 1] * dy + T[2, 1] * dz - y
-        e2 = T[0, 2] * dx + T[1, 2] * dy + T[2, 2] * dz - z
-        m00, m01, m02, m11, m12, m22 = information(covariances[i], axes[i], perp[i], along[i], T)
+        (e0, e1, e2), (m00, m01, m02, m11, m12, m22) = weighted_residual(
+            points[i], covariances[i], targets[i], axes[i], perp[i], along[i], T, huber
+        )
         f0 = m00 * e0 + m01 * e1 + m02 * e2
         f1 = m01 * e0 + m11 * e1 + m12 * e2
         f2 = m02 * e0 + m12 * e1 + m22 * e2
-        square = e0 * f0 + e1 * f1 + e2 * f2
-        w = huber / np.sqrt(square) if square > huber * huber else 1.0
         g0 = m00 * x + m01 * y + m02 * z
         g1 = m01 * x + m11 * y + m12 * z
         g2 = m02 * x + m12 * y + m22 * z
         cell = cells[_cell(x, y, z, view)]
         for k0, h0, h1, h2 in ((0, f0, f1, f2), (6, g0, g1, g2)):
-            cell[k0] += w * h0
-            cell[k0 + 1] += w * h1
-            cell[k0 + 2] += w * h2
-            cell[k0 + 3] += w * (y * h2 - z * h1)
-            cell[k0 + 4] += w * (z * h0 - x * h2)
-            cell[k0 + 5] += w * (x * h1 - y * h0)
+            cell[k0] += h0
+            cell[k0 + 1] += h1
+            cell[k0 + 2] += h2
+            cell[k0 + 3] += y * h2 - z * h1
+            cell[k0 + 4] += z * h0 - x * h2
+            cell[k0 + 5] += x * h1 - y * h0

@@ -191,7 +191,14 @@ def _apart(
 
 def is_repetition(frame: RgbdFrame, last: RgbdFrame) -> bool:
     """Return whether both images are the last ones again, bit by bit: they say nothing new."""
-    depths = frame.depth_m.view(np.uint32), last.depth_m.view(np.uint32)
-    pairs = ((frame.color, last.color), depths)
+    return _same(frame.color, last.color) and repeats_depth(frame, last)
+
+
+def repeats_depth(frame: RgbdFrame, last: RgbdFrame) -> bool:
+    """Return whether the depth image is the last one again, bit by bit."""
+    return _same(frame.depth_m.view(np.uint32), last.depth_m.view(np.uint32))
+
+
+def _same(image: NDArray[np.generic], last: NDArray[np.generic]) -> bool:
     some = slice(None, None, _ROWS_APART)
-    return all(np.array_equal(a[some], b[some]) and np.array_equal(a, b) for a, b in pairs)
+    return np.array_equal(image[some], last[some]) and np.array_equal(image, last)

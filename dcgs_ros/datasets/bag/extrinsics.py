@@ -50,7 +50,7 @@ def find_T_colorcam_depthcam(
     name = f'{stream_of(topics.depth).rsplit("/", 2)[0]}/extrinsics/depth_to_color'
     if message := first_messages(path, [name]).get(name):
         return _from_columns(message.rotation, message.translation)
-    return transform_between(_static_transforms(path), *(frame.lstrip('/') for frame in frames))
+    return transform_between(static_transforms(path), *(frame.lstrip('/') for frame in frames))
 
 
 def read_transform(translation: Any, rotation: Any) -> NDArray[np.float64]:
@@ -87,7 +87,8 @@ def _from_root(transforms: Transforms, frame: str) -> tuple[str, NDArray[np.floa
     return frame, T
 
 
-def _static_transforms(path: Path | str) -> Transforms:
+def static_transforms(path: Path | str) -> Transforms:
+    """Return the recorded static transforms; raises `MessageError` for one that is none."""
     found: Transforms = {}
     with suppress(DamagedError):
         for message in raw_messages(path, [STATIC_TOPIC]):

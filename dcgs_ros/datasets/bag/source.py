@@ -7,7 +7,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...core.camera import PinholeCamera
 from ...core.errors import FrameError
@@ -19,13 +23,14 @@ from ...io.ros_images import MessageError
 from ...io.trajectory import format_stamp_ns, read_tum
 from ..images.registration import AS_RECORDED
 from ..options import AS_STORED, SourceOptions
-from ..source import BadFrame, ImuSample, sequence_name
+from ..source import BadFrame, ImuSample, OdometrySample, sequence_name
 from .camera import RecordedCamera, find_camera
 from .contents import RecordedImage, read_contents
 from .imu import imu_samples
 from .messages import RawMessage, decode, read_header
 from .recording import raw_messages
 from .recovery.losses import DamagedError
+from .robot import RecordedRobot, find_robot, odometry_samples
 
 LAYOUT = 'a recording: a rosbag2 folder with its metadata.yaml, an .mcap, a .db3 or a .bag'
 
@@ -111,6 +116,36 @@ class BagSource:
     def imu(self) -> Iterator[ImuSample]:
         """Read the measurements of all IMUs, in order of their stamps."""
         return imu_samples(self._path)
+
+    @cached_property
+    def robot(self) -> RecordedRobot:
+        """The sensors beside the camera, and where they are."""
+        return find_robot(self._path, self.recorded.topics.color)
+
+    @property
+    def T_cam_imu(self) -> NDArray[np.float64] | None:
+        """(4, 4) IMU to colour camera, by /tf_static."""
+        return self.robot.T_cam_imu
+
+    @property
+    def imu_frames(self) -> tuple[str, ...]:
+        """Frames of the samples of that IMU."""
+        return self.robot.imu_frames
+
+    @property
+    def T_base_cam(self) -> NDArray[np.float64] | None:
+        """(4, 4) colour camera to base, by /tf_static."""
+        return self.robot.T_base_cam
+
+    @property
+    def base_frame(self) -> str:
+        """Frame of the base, as the odometry names it."""
+        return self.robot.base_frame
+
+    def odometry(self) -> Iterator[OdometrySample]:
+        """Read what the wheels say."""
+        topic = self.robot.odometry_topic
+        return iter(()) if topic is None else odometry_samples(self._path, topic)
 
 
 class _ImageReader:

@@ -21,6 +21,7 @@ COLOR_TOPIC = '/camera/camera/color/image_raw'
 DEPTH_TOPIC = '/camera/camera/aligned_depth_to_color/image_raw'
 
 GROUNDTRUTH_TOPIC = '/groundtruth'  # poses of the colour camera, as PoseStamped
+ODOMETRY_TOPIC = '/odom'  # of what is written; read is any Odometry
 STATIC_TOPIC = '/tf_static'
 
 _NO_COLOR = {*DEPTH_ENCODINGS} - {'mono16'}  # which is either

@@ -10,6 +10,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from ..source import SourceError
 from .scenes.catalogue import SCENES
+from .scenes.movers import MOVERS
 from .sensors.catalogue import SENSORS
 
 _RANGES = {
@@ -19,7 +20,7 @@ _RANGES = {
     'light': (0.01, 10.0),
     'period': (0.0, 10.0),
 }
-_CHOICES = {'sensor': tuple(SENSORS), 'direction': ('ccw', 'cw')}
+_CHOICES = {'sensor': tuple(SENSORS), 'direction': ('ccw', 'cw'), 'mover': tuple(MOVERS)}
 _INTEGERS = ('frames', 'seed')
 
 
@@ -35,6 +36,7 @@ class SyntheticOptions:
     motion: str | None = None  # who carries the camera
     period: float | None = None  # metres after which the floor repeats; 0 = never
     direction: str | None = None  # in which the loop is closed, seen from above
+    mover: str | None = None  # what moves in front of the camera
 
     def __post_init__(self) -> None:
         """Check the options by themselves; raises `SourceError` with the valid choices."""
@@ -56,7 +58,7 @@ class SyntheticOptions:
         if motion not in kind.motions:
             raise SourceError(f'{scene} has no motion {motion!r}: {" or ".join(kind.motions)}')
         values: dict[str, Any] = {'motion': motion, 'sensor': self.sensor or kind.sensor}
-        for key in ('period', 'direction'):
+        for key in ('period', 'direction', 'mover'):
             if getattr(self, key) is None:
                 values[key] = kind.extras.get(key)
             elif key not in kind.extras:

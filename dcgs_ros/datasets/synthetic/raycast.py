@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +44,12 @@ class Scene:
         box = np.where(outside > 0, outside, -local.max(axis=2))
         sphere = np.abs(np.linalg.norm(offsets, axis=2) - self.halves[:, 0])
         return np.where(self.kinds == SPHERE, sphere, box).min(axis=1)
+
+    def beside(self, other: Scene) -> Scene:
+        """Return it with the primitives of another scene, in its own light."""
+        names = ('kinds', 'centres', 'halves', 'R_world_local', 'textures', 'mappings', 'tints')
+        both = {k: np.concatenate([getattr(self, k), getattr(other, k)]) for k in names}
+        return replace(self, **both)
 
 
 @dataclass(frozen=True)

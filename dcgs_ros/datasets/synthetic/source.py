@@ -55,6 +55,7 @@ class SyntheticSource:
         extras = {key: getattr(self.options, key) for key in SCENES[scene].extras}
         self._scenario = build_scenario(scene, seed, self.options.motion, **extras)
         self._path = self._scenario.motion.path(seed, self.options.speed)
+        self._mover = self._scenario.mover and self._scenario.mover(self._path)
         self._kind = SENSORS[str(self.options.sensor)]
         self._depth_camera: DepthCamera = self._kind.depth(seed)
         self._lag_phases = np.random.default_rng((seed, _LAG_STREAM)).uniform(0, 2 * np.pi, 3)
@@ -64,8 +65,10 @@ class SyntheticSource:
             self._depth_camera.noise, color_readout_ms=1e3 * self._kind.readout_s
         )
         self.T_cam_imu = T_CAM_IMU  # IMU to colour camera
+        self.imu_frames: tuple[str, ...] = (IMU_FRAME,)
         # Camera to base, on wheels, but for vibration; None where a hand holds the camera.
         self.T_base_cam: NDArray[np.float64] | None = self._path.T_base_cam
+        self.base_frame = _BASE_FRAMES[1]
         # True time of a depth image minus its stamp, which a tracker may estimate.
         self.depth_per_metre: float | None = None
         self.notes: tuple[str, ...] = ()
@@ -120,8 +123,13 @@ class SyntheticSource:
 
     @property
     def scene(self) -> Scene:
-        """What the camera sees."""
+        """What the camera sees, but for what moves."""
         return self._scenario.scene
+
+    def scene_at(self, stamp_ns: int) -> Scene:
+        """Return all that the camera sees at a time."""
+        there = self._mover and self._mover.at((stamp_ns - _START_NS) * 1e-9)
+        return self.scene if there is None else self.scene.beside(there)
 
     @property
     def _span_s(self) -> tuple[float, float]:
@@ -206,6 +214,6 @@ class SyntheticSource:
         color: bool,
         T_world_rows: NDArray[np.float64] | None = None,
     ) -> SceneView:
-        scene, pose = self._scenario.scene, self.pose(stamp_ns)
+        scene, pose = self.scene_at(stamp_ns), self.pose(stamp_ns)
         textures = build_textures()
         return cast(scene, textures, camera, pose, color=color, T_world_rows=T_world_rows)

@@ -37,7 +37,7 @@ class MapOutputs:
     def __init__(self, node: Node, settings: MapperNodeSettings) -> None:
         """Advertise the topics."""
         self._settings = settings
-        self.world = settings.odom_frame  # frame that the map is in
+        self.world = settings.map_frame  # frame that the map is in
         advertise = node.create_publisher
         self._map = advertise(PointCloud2, 'gaussian_map', latched(1))
         self._updates = advertise(PointCloud2, 'gaussian_map_updates', latched(UPDATES_KEPT))

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from ...core import se3
-from .poses import pose_message
+from ...io.ros_images import MessageError
+from .poses import matrix, pose_message
+
+_ROUNDING = 1e-6  # m^2, rad^2: a covariance that was rounded to text
 
 
 class CameraToBase:
@@ -38,9 +41,19 @@ class CameraToBase:
 
         `cov_cam` (6, 6) is that of xi in T_world_cam exp(xi), translation first: m^2, rad^2.
         """
+        return _propagated(self._to_ros(T_odom_base), cov_cam)
+
+    def camera_covariance(
+        self, cov_base: NDArray[np.floating], T_odom_base: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return that of the camera (6, 6) for that of the base in ROS's order: the inverse."""
+        J = np.asarray(np.linalg.inv(self._to_ros(T_odom_base)), np.float64)
+        return _propagated(J, cov_base)
+
+    def _to_ros(self, T_odom_base: NDArray[np.float64]) -> NDArray[np.float64]:
         axes = np.zeros((6, 6))
         axes[:3, :3] = axes[3:, 3:] = T_odom_base[:3, :3]
-        return _propagated(axes @ self._adjoint, cov_cam)
+        return np.asarray(axes @ self._adjoint)
 
     def twist(
         self, twist_cam: NDArray[np.floating], cov_cam: NDArray[np.floating]
@@ -79,6 +92,20 @@ def pose_with_covariance(
     message.pose.pose = pose_message(T)
     message.pose.covariance = np.asarray(covariance, np.float64).ravel()
     return message
+
+
+def read_pose_with_covariance(
+    message: PoseWithCovarianceStamped,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the pose (4, 4), and its covariance (6, 6) in ROS's order.
+
+    Raises `MessageError` where one of them is none.
+    """
+    covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
+    covariance = 0.5 * (covariance + covariance.T)
+    if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] < -_ROUNDING:
+        raise MessageError(f'its covariance is none: variances {np.diag(covariance).tolist()}')
+    return matrix(message.pose.pose), covariance
 
 
 def _propagated(J: NDArray[np.float64], covariance: NDArray[np.floating]) -> NDArray[np.float64]:

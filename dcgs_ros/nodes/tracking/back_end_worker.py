@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.backend.features import Features
 from ...core.camera import PinholeCamera
 from ...core.config.stages import Config
 from ...core.frame import RgbdFrame
@@ -34,6 +35,7 @@ class KnownKeyframes:
     keyframes: Iterable[Keyframe] = ()  # those whose images are known, decoded one by one
     camera: PinholeCamera | None = None  # that made the images
     places: Recogniser | None = None  # knows them while the back end does not yet
+    features: Mapping[int, Features] = field(default_factory=dict)  # those known, by index
 
 
 class BackEnd(Protocol):
@@ -56,6 +58,7 @@ class BackEnd(Protocol):
         submaps: Sequence[int],
         keyframes: Iterable[Keyframe],
         camera: PinholeCamera | None,
+        features: Mapping[int, Features],
     ) -> None:
         """Begin with the keyframes of a map."""
         ...
@@ -215,8 +218,9 @@ class _Map:
         known, back_end = self.known, self.back_end
         if known is not None and back_end is not None:
             back_end.restore(
-                known.stamps_ns, known.T_world_cam, known.submaps, known.keyframes, known.camera
-            )
+                known.stamps_ns, known.T_world_cam, known.submaps, known.keyframes, known.camera,
+                known.features,
+            )  # fmt: skip
         self.restored.set()
 
     def without_images(self) -> _Map:

@@ -61,6 +61,8 @@ class CameraSubscriber:
         self._reported = self._totals()
         self._received_s = time.monotonic()
         self.missed = MissedFrames()
+        self.paused = False
+        self._begun = False
         self._warn = warn
         self._node, self._settings = node, settings
         # As image_transport does it, a raw topic that is remapped takes its transports along.
@@ -88,8 +90,24 @@ class CameraSubscriber:
         if self._settings.depth_transport == 'compressedDepth':
             decode_rvl(_ONE_PIXEL, 'depth')
 
+    def pause(self) -> None:
+        """Subscribe to no images until `resume`: they cost their transport too."""
+        self.paused = True
+        for kind in self._images:
+            if kind in self._subscriptions:
+                self._node.destroy_subscription(self._subscriptions.pop(kind))
+
+    def resume(self) -> None:
+        """Go on after `pause`."""
+        was, self.paused = self.paused, False
+        if was and self._begun:
+            self.begin()
+
     def begin(self) -> None:
-        """Subscribe to the images."""
+        """Subscribe to the images, unless paused."""
+        self._begun = True
+        if self.paused:
+            return
         self._received_s = time.monotonic()
         qos = sensor_qos(self._settings.reliability)
         transports = self._settings.color_transport, self._settings.depth_transport

@@ -19,7 +19,7 @@ from ..transforms import Transforms
 # REP 103: the optical frame has z forward and x right, the base x forward and z up.
 LOOKING_FORWARD = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
 _AGAIN_S = 0.2  # between two questions to TF
-_WHO_KNOWS = "start what publishes it, such as robot_state_publisher or the camera's driver"
+WHO_KNOWS = "start what publishes it, such as robot_state_publisher or the camera's driver"
 _UNIT = 1e-3  # largest distance of a quaternion's length from 1
 
 
@@ -59,13 +59,13 @@ class Mounting:
         self._asked_s = now if self._asked_s is None else self._asked_s
         wait_s, listens = settings.wait_for_transform_s, self._transforms.listens
         if listens and now - self._asked_s < wait_s:
-            doubt = f'waiting for {names}, at most {wait_s:g} s: {_WHO_KNOWS}'
+            doubt = f'waiting for {names}, at most {wait_s:g} s: {WHO_KNOWS}'
         else:
             self._to_base = CameraToBase(LOOKING_FORWARD)
             doubt = (
                 f'no {names}: the camera is taken to look along x from the origin of '
                 f'{settings.base_frame}, and poses are wrong unless it does; '
-                f'{_WHO_KNOWS + ", or " if listens else ""}set node.base_to_camera'
+                f'{WHO_KNOWS + ", or " if listens else ""}set node.base_to_camera'
             )
         if doubt != self.doubt:
             self._warn(doubt)
@@ -88,7 +88,11 @@ def given_extrinsics(
     settings: TrackerNodeSettings | MapperNodeSettings,
 ) -> NDArray[np.float64] | None:
     """Return T_base_cam (4, 4) as set, None for 'auto'; raise `ConfigError` for anything else."""
-    text = settings.base_to_camera
+    return parse_pose('node.base_to_camera', settings.base_to_camera)
+
+
+def parse_pose(key: str, text: str) -> NDArray[np.float64] | None:
+    """Return a setting `key` as a transform (4, 4), None for 'auto'; else raise `ConfigError`."""
     if text == 'auto':
         return None
     try:
@@ -98,8 +102,7 @@ def given_extrinsics(
     length = np.linalg.norm(numbers[3:])
     if len(numbers) != 7 or not np.isfinite(numbers).all() or abs(length - 1) > _UNIT:
         raise ConfigError(
-            f"node.base_to_camera is {text!r}, not 'auto' or 'x y z qx qy qz qw' with a unit "
-            'quaternion'
+            f"{key} is {text!r}, not 'auto' or 'x y z qx qy qz qw' with a unit quaternion"
         )
     x, y, z, w = numbers[3:] / length
     return se3.from_quaternion(np.array([w, x, y, z]), numbers[:3])

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -66,12 +67,14 @@ def judge(
     *,
     ever_tracked: bool = True,
     refusal: str = '',
-    mounting: str | None = None,
+    doubt: str | None = None,
+    priors: Mapping[str, str] | None = None,
 ) -> Verdict:
     """Return how tracking goes, and what to check where it does not.
 
-    `refusal` says why the last frame was refused, `mounting` what is not known of where the camera
-    is on the base.
+    `refusal` says why the last frame was refused, `doubt` what is not known of the frames, such as
+    where the camera is on the base, `priors` of each sensor that is asked for whether it is used,
+    or why not.
     """
     alone = not streams.pairs and streams.color + streams.depth > _FEW
     if streams.silent_s > _SILENT_S or alone or result is None:
@@ -79,8 +82,8 @@ def judge(
         if missing is not None:
             return missing
     if result is None:
-        text = mounting or f'images come, but none could be used: {refusal or "see the log"}'
-        return Verdict(Level.WARN if mounting else Level.ERROR, text, logged=True)
+        text = doubt or f'images come, but none could be used: {refusal or "see the log"}'
+        return Verdict(Level.WARN if doubt else Level.ERROR, text, logged=True)
     if result.state is TrackingState.LOST:
         return _lost(searching, ever_tracked)
     if result.state is TrackingState.RELOCALISED:
@@ -98,8 +101,11 @@ def judge(
     if streams.dropped > _DROPPING * max(streams.pairs, 1):
         text = f'{streams.dropped} of {streams.pairs} pairs dropped: too slow for this camera'
         return Verdict(Level.WARN, f'{text}; lower its rate or resolution')
-    if mounting:
-        return Verdict(Level.WARN, f'tracking, but {mounting}', logged=True)
+    if doubt:
+        return Verdict(Level.WARN, f'tracking, but {doubt}', logged=True)
+    unused = [f'{name}: {why}' for name, why in (priors or {}).items() if why != 'used']
+    if unused:
+        return Verdict(Level.WARN, f'tracking, but without {"; without ".join(unused)}')
     return Verdict(Level.OK, 'tracking')
 
 
@@ -169,6 +175,8 @@ def numbers(result: TrackResult) -> dict[str, Any]:
         'points': result.points,
         'landmarks': result.landmarks,
         'submap': result.submap,
+        'sigma_m': _largest_sigma(result.covariance[:3, :3]),
+        'sigma_deg': math.degrees(_largest_sigma(result.covariance[3:, 3:])),
         'colour_depth_offset_ms': float(result.colour_depth_offset_ms),
     }
     if result.observability is not None:
@@ -176,3 +184,8 @@ def numbers(result: TrackResult) -> dict[str, Any]:
         shown['kappa_without_radius'] = float(result.observability.kappa_without_radius)
         shown['weakest'] = weakest_axis(result.observability.weakest)
     return shown
+
+
+def _largest_sigma(covariance: NDArray[np.floating]) -> float:
+    """Return the standard deviation along the direction that is the least certain."""
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))

@@ -13,7 +13,7 @@ from ...core.backend.features import Features
 from ...core.camera import PinholeCamera
 from ...core.errors import DcgsError
 from ...core.tracking.tracker import Tracker
-from ...io.known_places import EncodedImages, features_of, keyframes_of, places_of
+from ...io.known_places import KnownView, features_of, keyframes_of, places_of
 from ...io.saved_tracker import SavedTracker
 from ...io.sessions import SavedSession
 from ...io.tracker_map import read_tracker_map, write_tracker_map
@@ -57,16 +57,16 @@ class KnownMap:
     tracker: SavedTracker
     sessions: tuple[SavedSession, ...]
     features: tuple[tuple[int, Features], ...]  # of the keyframes that have images
-    images: tuple[EncodedImages, ...] = ()
+    views: tuple[KnownView, ...] = ()
 
     @classmethod
     def read(cls, path: Path) -> KnownMap:
         """Read a file; raises a `DcgsError` that says what is wrong with it."""
         known = read_tracker_map(path)
-        features = features_of(known.images, known.camera, known.sensor)
+        features = features_of(known.views, known.camera, known.sensor)
         return cls(
             epoch_of_file(path), known.camera, known.tracker, known.sessions, tuple(features),
-            known.images,
+            known.views,
         )  # fmt: skip
 
     @property
@@ -84,12 +84,13 @@ class KnownMap:
         saved, undistorted = self.tracker, replace(self.camera, distortion=())
         return KnownKeyframes(
             self.stamps_ns, saved.poses, saved.submaps.tolist(),
-            keyframes_of(self.images, saved), undistorted, tracker.recogniser,
+            keyframes_of(self.views, saved), undistorted, tracker.recogniser,
+            dict(self.features),
         )  # fmt: skip
 
     def without_images(self) -> KnownMap:
         """Return the same without the images, which take some 0.2 MB a keyframe."""
-        return replace(self, images=())
+        return replace(self, views=())
 
     def __str__(self) -> str:
         """Return its size in words."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -26,24 +26,15 @@ from ..messages.corrections import write_correction
 from ..messages.images import header
 from ..messages.odometry import CameraToBase, odometry_message, pose_with_covariance
 from ..messages.poses import path, pose_stamped, transform_stamped
-from ..transforms import make_transforms
+from ..transforms import Transforms, make_transforms
 from ..transport import RELIABLE, latched
 from .corrected import Corrected
 from .extrinsics import Mounting
+from .map_to_odom import MapToOdom, PlacedBase
 from .odometry_frame import OdometryFrame, OdometryPose
 from .trajectory_recorder import TrajectoryRecorder
 
-MAP_FRAME = 'map'
 _MAX_GAP_S = 0.5  # between two poses that give a velocity
-
-
-@dataclass
-class _PathPose:
-    """A pose of the path, and the keyframe that it moves with when the map is corrected."""
-
-    stamp_ns: int
-    T_map_base: NDArray[np.float64]  # (4, 4)
-    keyframe: int
 
 
 class TrackerOutputs:
@@ -56,7 +47,7 @@ class TrackerOutputs:
         self._settings, self._transforms = settings, make_transforms(node)
         self.mounting = Mounting(settings, self._transforms, warn)
         self._recorder = TrajectoryRecorder(settings.save_on_exit)
-        self.world = MAP_FRAME
+        self.world = settings.map_frame
         advertise = node.create_publisher
         self._odometry = advertise(Odometry, '~/odometry', RELIABLE)
         self._pose = advertise(PoseStamped, '~/pose', RELIABLE)
@@ -67,15 +58,39 @@ class TrackerOutputs:
         self._keyframe_poses = advertise(PointCloud2, 'keyframe_poses', latched(1))
         self._progress = advertise(Header, '~/progress', RELIABLE)
         self._path = advertise(Path, '~/path', RELIABLE)
-        self._path_poses: list[_PathPose] = []
+        self._path_poses: list[PlacedBase] = []
         self._path_step, self._path_count, self._path_due_s = 1, 0, 0.0
         self._last: TrackResult | None = None
         self._odom = OdometryFrame()
         self._T_map_odom: NDArray[np.float64] | None = None  # None: not known yet
+        self._clock = node.get_clock()
+        self._beside = self._beside_another(warn)
+        if self._beside is not None:
+            node.create_timer(settings.tf_delay_s, self._send_map_to_odom)
+
+    def _beside_another(self, warn: Callable[[str], None]) -> MapToOdom | None:
+        """Return what places another node's odom in the map; None where there is no such node."""
+        settings, transforms = self._settings, self._transforms
+        if settings.tf != 'map_to_odom' or not transforms.listens:
+            return None
+        odom, base = settings.odom_frame, settings.base_frame
+        return MapToOdom(
+            lambda stamp_ns: transforms.lookup(odom, base, stamp_ns), f'{odom} -> {base}', warn
+        )
+
+    @property
+    def transforms(self) -> Transforms:
+        """TF, for those who ask it for other frames."""
+        return self._transforms
 
     def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
         """Return TF's T_parent_child (4, 4), metres; None where it does not know it."""
         return self._transforms.lookup(parent, child)
+
+    @property
+    def doubt(self) -> str | None:
+        """What is to be done about frames that are not known; None: all are."""
+        return self.mounting.doubt or (self._beside.doubt if self._beside is not None else None)
 
     def publish(self, result: TrackResult, to_base: CameraToBase) -> None:
         """Publish the pose in odom and, unless that is not known, in the map."""
@@ -90,11 +105,15 @@ class TrackerOutputs:
             self._pose.publish(pose_stamped(T_map_base, in_map))
             covariance = to_base.covariance(result.covariance_world, T_map_base)
             self._with_covariance.publish(pose_with_covariance(in_map, T_map_base, covariance))
-            self._place_odom(T_map_base, T_odom_base)
             keyframe = -1 if result.reference is None else result.reference.keyframe
-            self._extend_path(_PathPose(stamp_ns, T_map_base, keyframe), in_map)
+            placed = PlacedBase(stamp_ns, T_map_base, keyframe)
+            self._T_map_odom = T_map_base @ se3.inverse(T_odom_base)
+            if self._beside is not None:
+                self._beside.place(placed, self._clock.now().nanoseconds)
+            self._extend_path(placed, in_map)
             self._recorder.add(stamp_ns, T_map_base)
-        self._send_transforms(T_odom_base, stamp_ns)
+        if self._settings.tf == 'odom_to_base':
+            self._send_transforms(T_odom_base, stamp_ns)
         self._last = result
 
     def _publish_odometry(
@@ -102,17 +121,14 @@ class TrackerOutputs:
     ) -> None:
         """Publish the pose in odom with its drift, and the velocity since the last one.
 
-        Where another node's odometry is odom, ours is published in the map.
+        Also where another node's odometry is odom: fused there, ours must not step.
         """
-        frame, T_base = self._settings.odom_frame, to_base.pose(in_odom.T_odom_cam)
-        covariance = to_base.covariance(in_odom.covariance, T_base)
-        if self._settings.tf == 'map_to_odom':
-            frame, T_base = self.world, to_base.pose(result.T_world_cam)
-            covariance = to_base.covariance(result.covariance_world, T_base)
+        T_odom_base = to_base.pose(in_odom.T_odom_cam)
+        covariance = to_base.covariance(in_odom.covariance, T_odom_base)
         twist, twist_covariance = to_base.twist(*self._camera_twist(result))
         message = odometry_message(
-            header(result.stamp_ns, frame), self._settings.base_frame, T_base, covariance, twist,
-            twist_covariance,
+            header(result.stamp_ns, self._settings.odom_frame), self._settings.base_frame,
+            T_odom_base, covariance, twist, twist_covariance,
         )  # fmt: skip
         self._odometry.publish(message)
 
@@ -126,11 +142,9 @@ class TrackerOutputs:
         if self._last is not None:
             T_world_cam = corrected.here @ self._last.T_world_cam
             self._last = replace(self._last, T_world_cam=T_world_cam)
-        for pose in self._path_poses:
-            if pose.keyframe >= 0:
-                pose.T_map_base = se3.orthonormalised(
-                    corrected.motions[pose.keyframe] @ pose.T_map_base
-                )
+        self._path_poses = [pose.moved(corrected.motions) for pose in self._path_poses]
+        if self._beside is not None:
+            self._beside.correct(corrected.motions)
         if len(corrected.named.stamps_ns):
             self._keyframe_poses.publish(write_correction(corrected.named, epoch, self.world))
 
@@ -144,6 +158,8 @@ class TrackerOutputs:
         self._path_poses.clear()
         self._path_step, self._last = 1, None
         self._odom, self._T_map_odom = OdometryFrame(), None
+        if self._beside is not None:
+            self._beside.forget()
 
     def remount(self, assumed: NDArray[np.float64], T_base_cam: NDArray[np.float64]) -> None:
         """Correct where the camera is on the base (4, 4); the path begins anew."""
@@ -172,30 +188,25 @@ class TrackerOutputs:
         motion = se3.inverse(last.T_world_cam) @ result.T_world_cam
         return se3.log(motion) / dt, covariance / dt**2
 
-    def _place_odom(
-        self, T_map_base: NDArray[np.float64], T_odom_base: NDArray[np.float64]
-    ) -> None:
-        """Find where odom is in the map: ours, or that of the node which broadcasts it."""
-        settings = self._settings
-        T: NDArray[np.float64] | None = T_odom_base
-        if settings.tf == 'map_to_odom':
-            T = self._transforms.lookup(settings.odom_frame, settings.base_frame)
-        if T is not None:
-            self._T_map_odom = T_map_base @ se3.inverse(T)
-
     def _send_transforms(self, T_odom_base: NDArray[np.float64], stamp_ns: int) -> None:
         """Broadcast; odom stays where it was in the map while the place there is not known."""
         settings = self._settings
-        if settings.tf == 'none':
-            return
-        if settings.tf == 'odom_to_base':
-            in_odom = header(stamp_ns, settings.odom_frame)
-            self._transforms.send(transform_stamped(T_odom_base, in_odom, settings.base_frame))
+        in_odom = header(stamp_ns, settings.odom_frame)
+        self._transforms.send(transform_stamped(T_odom_base, in_odom, settings.base_frame))
         if self._T_map_odom is not None:
             in_map = header(stamp_ns, self.world)
             self._transforms.send(transform_stamped(self._T_map_odom, in_map, settings.odom_frame))
 
-    def _extend_path(self, pose: _PathPose, in_map: Header) -> None:
+    def _send_map_to_odom(self) -> None:
+        """Broadcast where the other node's odom is in the map."""
+        assert self._beside is not None
+        settings, now_ns = self._settings, self._clock.now().nanoseconds
+        found = self._beside.at(now_ns, int(1e9 * settings.tf_tolerance_s))
+        if found is not None:
+            in_map = header(found.stamp_ns, self.world)
+            self._transforms.send(transform_stamped(found.T_map_odom, in_map, settings.odom_frame))
+
+    def _extend_path(self, pose: PlacedBase, in_map: Header) -> None:
         """Add every pose; once the path is full every second one, then every fourth, and so on."""
         self._path_count += 1
         if self._path_count % self._path_step == 0:

@@ -20,6 +20,8 @@ from ...core.config.stages import Config
 from ...core.errors import DcgsError, FrameError
 from ...core.frame import RgbdFrame
 from ...core.keyframe import Correction, Keyframe, MapUpdate, PosedFrame
+from ...core.priors.motion_priors import MotionPriors
+from ...core.tracking.expectation import ExpectedPlace
 from ...core.tracking.result import TrackingState, TrackResult
 from ...core.tracking.selector import KeyframeSelector
 from ...core.tracking.tracker import Tracker
@@ -49,10 +51,12 @@ class TrackingSession:
         warn: Callable[[str], None],
         loops: Loops | None = None,
         localize_only: bool = False,
+        priors: MotionPriors | None = None,
     ) -> None:
         """Wait for the first camera; `warn` gets the lines for the log, `loops` the keyframes.
 
-        With `localize_only` the map of `resume` stays as it is, and is never left.
+        `priors` are what other sensors tell, in all of its maps. With `localize_only` the map of
+        `resume` stays as it is, and is never left.
         """
         self._own_epoch = first_epoch()  # of the last map that is not another tracker's
         self.config, self.epoch = config, self._own_epoch
@@ -66,12 +70,14 @@ class TrackingSession:
         self._selector = KeyframeSelector(config.mapping.view_interval)
         self._resumable: Known | None = None
         self._localize_only = localize_only
+        self._expected: ExpectedPlace | None = None  # until there is a tracker
         self._stamp_ns: int | None = None  # of the last frame
         self._held = False  # whether the camera's place was known then
         self._keyframe_stamps: set[int] = set()
         self._names: dict[int, int] = {}  # stamps of this tracker's keyframes, by their index
         self._others: dict[int, int] = {}  # the same of the tracker before, in whose map it is
         self._loops = loops or NoLoops()
+        self._priors = priors
 
     def resume(self, resumable: Known) -> None:
         """Go on in the map of another tracker; to be called before the first frame."""
@@ -98,6 +104,7 @@ class TrackingSession:
             self._resumable = None
         self.epoch = self._own_epoch = next_epoch(self._own_epoch)
         self._stamp_ns, self._held, self.ever_tracked = None, False, False
+        self._expected = None
         return _LOOKING if self._localize_only else AFTER_RESET
 
     def remount(self, T_base_cam: NDArray[np.float64], frame: RgbdFrame) -> None:
@@ -116,6 +123,17 @@ class TrackingSession:
         self._warn('the camera is elsewhere on the base than assumed: a new map begins')
         self.reset()
         self._begin(last.camera, T_world_cam)
+
+    def expect(self, place: ExpectedPlace) -> None:
+        """Look for the camera first where somebody says that it is, from the next frame on."""
+        position = ', '.join(f'{x:.2f}' for x in place.T_world_cam[:3, 3])
+        if self.tracker is None and self._resumable is not None:
+            self._expected = place
+        elif self.tracker is None or not self.tracker.keyframes:
+            self._warn(f'the camera is said to be at {position} m, but there is no map yet')
+        elif self.tracker.expect(place):
+            self._held = False
+            self._warn(f'the camera is looked for around {position} m, where it is said to be')
 
     def reconfigure(self, config: Config) -> None:
         """Apply settings that may change at run time."""
@@ -179,13 +197,16 @@ class TrackingSession:
 
     def _begin(self, camera: PinholeCamera, T_world_first: NDArray[np.float64]) -> Tracker:
         """Return a new tracker, in the map of another one if that is wanted."""
-        self.tracker = Tracker(camera, self.config, T_world_first)
+        self.tracker = Tracker(camera, self.config, T_world_first, self._priors)
         if self._resumable is not None:
             self.epoch = self._resumable.epoch
             self._resumable.resume(self.tracker)
             self.tracker.localize_only = self._localize_only
+            if self._expected is not None:
+                self.tracker.expect(self._expected)
             if isinstance(self._resumable, KnownMap) and self._resumable.camera != camera:
                 self._warn(_OTHER_CAMERA)
+        self._expected = None
         self._begin_loops(self.tracker)
         self._names.clear()
         self._others = _unique(self.tracker.visited.stamps_ns)

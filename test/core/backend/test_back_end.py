@@ -16,6 +16,7 @@ from walks import LOOP, ODOMETRY, Loop, Walk, first, keyframe, relative, round_b
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.backend.back_end import BackEnd, BackEndError
+from dcgs_ros.core.backend.features import Features
 from dcgs_ros.core.backend.places import Places
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.stages import Config
@@ -33,10 +34,17 @@ class Given:
     def __init__(self, loops: Sequence[Loop] = ()) -> None:
         self.loops = loops
         self.keyframes = 0
+        self.features: list[Features | None] = []  # that were known
         self.places = Places(CAMERA, Config())
 
-    def add(self, keyframe: Keyframe, camera: PinholeCamera | None = None) -> None:
+    def add(
+        self,
+        keyframe: Keyframe,
+        camera: PinholeCamera | None = None,
+        features: Features | None = None,
+    ) -> None:
         self.keyframes += 1
+        self.features.append(features)
 
     def close(self, keyframe: int) -> list[Loop]:
         assert keyframe == self.keyframes - 1
@@ -207,6 +215,18 @@ def test_restored_keyframes_stay_as_they_are_to_each_other() -> None:
     assert np.abs(final[LAP + 2 :] - walk.truth[LAP + 2 :])[:, :3, 3].max() < 0.1
     with pytest.raises(BackEndError, match='90 keyframes already'):
         back_end.restore([0], walk.truth[:1])
+
+
+def test_restored_keyframes_come_with_the_features_that_are_known() -> None:
+    walk, _ = two_laps(0)
+    known = Features(
+        np.zeros((1, 32), np.uint8), np.zeros((1, 2), np.float32), np.ones(1, np.float32)
+    )
+    finder, stamps = Given(), [10**9 * (k + 1) for k in range(3)]
+    BackEnd(CAMERA, Config(), finder).restore(
+        stamps, walk.truth[:3], keyframes=list(walk.keyframes())[:3], features={1: known}
+    )
+    assert finder.features == [None, known, None]
 
 
 def test_restored_submaps_stay_apart_until_loops_join_them() -> None:

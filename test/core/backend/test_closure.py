@@ -76,6 +76,14 @@ def test_a_place_that_is_seen_again_is_a_loop(b: int) -> None:
         assert loop.inliers >= 25
 
 
+def test_features_that_are_known_are_not_looked_for() -> None:
+    found, known = closures(ROOM, [0, 12], linked=False), closures(ROOM, [0], linked=False)
+    features = known.places.features_of(0)
+    no_hosts = np.empty((0, 4, 4))
+    found.add(keyframe(2, frames_of(ROOM)[30], [], no_hosts), features=features)
+    assert found.places.features_of(2) is features
+
+
 def test_keyframes_that_odometry_links_need_no_loop() -> None:
     assert closures(ROOM, [10, 12, 14], linked=False).close(2) != []
     assert closures(ROOM, [10, 12, 14], linked=True).close(2) == []

@@ -84,6 +84,17 @@ def test_views_that_are_not_apart_are_one() -> None:
     assert believed(walk, loops) == []
 
 
+@pytest.mark.parametrize(('every', 'enough'), [(1, 6), (2, 4)])
+def test_how_many_views_are_enough_follows_from_how_vague_odometry_is(
+    every: int, enough: int
+) -> None:
+    """Keyframes are 0.3 m apart: views that overlap count in part. A metre asks for 3.7 views."""
+    walk = round_block(LAP + 22, 0, SIZE_M, LOST)
+    loops = right(walk, range(LAP + 1, LAP + 1 + every * enough, every))
+    assert believed(walk, loops[:-1]) == []
+    assert same(believed(walk, loops), loops)
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_the_impossible_is_never_believed(seed: int) -> None:
     """Off by a period of the floor, and in agreement with each other."""

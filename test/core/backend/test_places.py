@@ -52,8 +52,7 @@ def seen_again(rng: np.random.Generator, descriptors: NDArray[np.uint8]) -> NDAr
 def features(descriptors: NDArray[np.uint8], points: NDArray[np.float64]) -> Features:
     """Return features of points (N, 3) in the camera frame."""
     rays = (points[:, :2] / points[:, 2:]).astype(np.float32)
-    pixels = rays * np.float32(FOCAL) + np.float32(300.0)
-    return Features(descriptors, pixels, rays, points[:, 2].astype(np.float32))
+    return Features(descriptors, rays, points[:, 2].astype(np.float32))
 
 
 def anywhere(descriptors: NDArray[np.uint8]) -> Features:
@@ -187,9 +186,10 @@ def test_features_are_everywhere_in_the_image_with_their_depth() -> None:
     source, frame = source_of(ROOM), frames_of(ROOM)[0]
     found = extract(frame, source.camera, source.sensor)
     assert 150 < len(found) < 48 * 14 + 1
-    cells = np.unique((found.pixels / (80, 80)).astype(int), axis=0)
+    pixels = source.camera.project(np.column_stack([found.rays, np.ones(len(found))]))
+    cells = np.unique((pixels / (80, 80)).astype(int), axis=0)
     assert len(cells) > 24
-    x, y = np.round(found.pixels).astype(int).T
+    x, y = np.round(pixels).astype(int).T
     measured = found.depths_m > 0
     assert measured.mean() > 0.5
     off = np.abs(found.depths_m - frame.depth_m[y, x])[measured]

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 import time
 from collections import Counter
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dcgs_ros.core.kernels.workers import PIECES, Workers
+from dcgs_ros.core.kernels.workers import PIECES, Workers, give_way
 
 PATIENCE_S = 120.0  # far more than any wait here takes
 SLOW_S = 0.05
@@ -136,3 +138,19 @@ def test_closing_ends_the_threads() -> None:
     workers.close()
     assert not any(thread.is_alive() for thread in started)
     Workers(1).close()  # has none to end
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='threads have no priority of their own')
+def test_a_thread_gives_way_as_far_as_it_is_told_and_never_takes_back() -> None:
+    found = list[int]()
+
+    def work() -> None:
+        for nice in (5, 12, 3):
+            give_way(nice)
+            found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join(PATIENCE_S)
+    mine = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    assert found == [max(mine, nice) for nice in (5, 12, 12)]

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
-from dcgs_ros.core.priors.readings import UNKNOWN, BasePose
+from dcgs_ros.core.priors.readings import BasePose
 from dcgs_ros.core.priors.wheels import Wheels
 
 MS = 1_000_000
@@ -61,13 +61,15 @@ def test_the_camera_moves_as_its_place_on_the_base_has_it() -> None:
     np.testing.assert_allclose(factor.T_before_now, seen(0.3, 0.333), atol=1e-12)
 
 
-def test_nothing_is_said_of_height_roll_and_pitch() -> None:
-    factor = driven(1.0).factor(300 * MS, 333 * MS)
-    assert factor is not None
-    Ad = se3.adjoint(T_BASE_CAM)
-    in_base = Ad @ (factor.noise + factor.drift) @ Ad.T
-    np.testing.assert_allclose(np.diag(in_base)[2:5], UNKNOWN, rtol=1e-6)
-    assert (np.sqrt(np.diag(in_base)[[0, 1, 5]]) < 5e-3).all()
+def test_a_base_tilts_and_climbs_only_as_the_floor_does() -> None:
+    wheels, Ad = driven(6.0, STRAIGHT), se3.adjoint(T_BASE_CAM)
+    for seconds, climb_m, tilt_deg in ((0.033, 0.002, 0.3), (2.0, 0.02, 2.0)):
+        factor = wheels.factor(300 * MS, round((0.3 + seconds) * 1e9))
+        assert factor is not None
+        in_base = np.sqrt(np.diag(Ad @ (factor.noise + factor.drift) @ Ad.T))
+        assert 0.5 * climb_m < in_base[2] < climb_m
+        assert (np.degrees(in_base[3:5]) < tilt_deg).all()
+        assert (np.degrees(in_base[3:5]) > 0.5 * tilt_deg).all()
 
 
 def test_drift_adds_up_as_a_sigma_and_noise_as_a_variance() -> None:
@@ -123,3 +125,20 @@ def test_wheels_without_poses_say_so() -> None:
     wheels.sense(BasePose(2000 * MS, np.eye(4)))
     assert wheels.factor(0, 1000 * MS) is None  # what was between is not known
     assert wheels.reason(3000 * MS) == 'no pose for 1.00 s'
+
+
+def test_a_published_covariance_is_the_least_noise_of_a_motion() -> None:
+    """Each velocity errs by itself, so that over 50 of them a second the variance is v / 50."""
+    wheels, variance = Wheels(np.eye(4)), np.array([0.04, 0.01, 0.09])
+    for stamp_ns in range(0, 1001 * MS, 20 * MS):
+        wheels.sense(BasePose(stamp_ns, true_base(stamp_ns * 1e-9, STRAIGHT), variance))
+    factor = wheels.factor(500 * MS, 600 * MS)
+    assert factor is not None
+    expected = variance * 0.02 * 0.1
+    np.testing.assert_allclose(np.diag(factor.noise)[[0, 1, 5]], expected)
+
+
+def test_poses_of_another_clock_are_not_used() -> None:
+    wheels = driven(1.0)
+    assert wheels.reason(500 * MS) is None
+    assert wheels.reason(-3_000 * MS) == 'no pose before 3.00 s after the images: of another clock'

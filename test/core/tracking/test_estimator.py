@@ -15,8 +15,10 @@ from tracked_room import SEEN, SOURCE, frames, tracker  # type: ignore[import-no
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.frame import RgbdFrame
+from dcgs_ros.core.tracking import estimator
 from dcgs_ros.core.tracking.estimator import Estimate, Memory, estimate
 from dcgs_ros.core.tracking.landmarks import Landmarks
+from dcgs_ros.core.tracking.registration import register
 
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.5)  # of the truth
 MISLED_M = 0.05  # off where most landmarks lie together
@@ -105,6 +107,28 @@ def test_along_a_wall_a_few_landmarks_say_more_than_the_prediction() -> None:
     found = estimate(frames()[SEEN], misplaced, wall, made.camera, made.config)
     assert len(found.landmarks) < 20 and found.registration.inliers > 1000
     assert error(found)[0] < 0.036  # from the prediction it ends at 0.045
+
+
+@pytest.mark.parametrize('few', [False, True])
+def test_under_an_old_image_depth_looks_no_farther_than_the_motion_is_uncertain(
+    few: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Matched from afar, the border of the map holds a camera back that goes on along a wall."""
+    memory, seen, looked = tracker()._memory, frames()[SEEN], []
+
+    def spied(T: Any, depth: Any, image: Any, config: Any, search_m: float, *others: Any) -> Any:
+        looked.append(search_m)
+        return register(T, depth, image, config, search_m, *others)
+
+    monkeypatch.setattr(estimator, 'register', spied)
+    assert memory.image is not None
+    stale = replace(memory, image=replace(memory.image, grey=estimator.to_grey(seen.color)))
+    if few:
+        stale = replace(stale, landmarks=stale.landmarks[np.arange(9)])
+    found, limits = estimated(stale), tracker().config.registration
+    assert not found.fresh and found.registration.image is None
+    assert looked == [limits.guess_radius_m if few else limits.radius_m]
+    assert error(found)[0] < NEAR_M
 
 
 def test_a_landmark_that_contradicts_the_pose_is_told_from_those_that_do_not() -> None:

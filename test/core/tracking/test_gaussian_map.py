@@ -335,10 +335,19 @@ def test_refresh_moves_the_viewpoint_of_what_is_seen_and_of_nothing_else(
     seen_ids = add(gaussians, seen, old)
     for means in unseen:
         add(gaussians, means, old)
-    assert gaussians.refresh(T, depth_m, camera, SENSOR, 0) == len(seen)
+    share = gaussians.refresh(T, depth_m, camera, SENSOR, 0)
+    assert share == len(seen) / (2 * len(seen))  # those behind the surface are hidden
+    assert share == gaussians.agreement(T, depth_m, camera, SENSOR)
     expected = np.full((len(gaussians.means), 3), 9.0)
     expected[seen_ids] = T[:3, 3]
     np.testing.assert_allclose(gaussians.viewpoints, expected, atol=1e-6)
+
+
+def refreshed(gaussians: GaussianMap, T: NDArray[np.float64], depth_m: NDArray[np.float32]) -> int:
+    """Refresh the map, and return how many Gaussians are seen from T's centre then."""
+    gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0)
+    there = np.abs(gaussians.viewpoints - T[:3, 3]).max(axis=1, initial=0.0) < 1e-6
+    return int(np.count_nonzero(there & (gaussians.ids >= 0)))
 
 
 def test_refresh_tolerates_the_noise_but_no_more() -> None:
@@ -349,7 +358,7 @@ def test_refresh_tolerates_the_noise_but_no_more() -> None:
     for error, seen in ((2 * sigma, 1), (-2 * sigma, 1), (0.1, 0), (-0.1, 0)):
         gaussians = GaussianMap(CELL_M)
         add(gaussians, lifted(PINHOLE, pixels, z + error, T))
-        assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == seen
+        assert refreshed(gaussians, T, depth_m) == seen
 
 
 @pytest.mark.parametrize('hole', [0.0, np.nan])
@@ -359,17 +368,17 @@ def test_refresh_sees_nothing_where_nothing_is_measured(hole: float) -> None:
     gaussians = GaussianMap(CELL_M)
     add(gaussians, lifted(PINHOLE, pixels, depth_m[pixels[:, 1], pixels[:, 0]], T))
     depth_m[100, 100] = hole
-    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == 1
+    assert refreshed(gaussians, T, depth_m) == 1
 
 
 def test_refresh_passes_over_free_slots_and_an_empty_map() -> None:
     T, depth_m = pose_and_view(PINHOLE)
     gaussians = GaussianMap(CELL_M)
-    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == 0
+    assert refreshed(gaussians, T, depth_m) == 0
     pixels = np.array([[100, 100], [200, 50]])
     ids = add(gaussians, lifted(PINHOLE, pixels, depth_m[pixels[:, 1], pixels[:, 0]], T))
     gaussians.remove(ids[:1])
-    assert gaussians.refresh(T, depth_m, PINHOLE, SENSOR, 0) == 1
+    assert refreshed(gaussians, T, depth_m) == 1
 
 
 def test_refresh_is_the_same_with_any_threads() -> None:

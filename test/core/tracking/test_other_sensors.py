@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -16,6 +17,7 @@ from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.priors.fusion import Sensed
+from dcgs_ros.core.priors.gravity import UpPrior
 from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.motion_priors import MotionPriors, PriorsError
 from dcgs_ros.core.priors.readings import AngularRate, BasePose, MotionFactor
@@ -29,6 +31,7 @@ from dcgs_ros.datasets.synthetic.source import SyntheticSource
 
 SOURCE = SyntheticSource.from_address('synthetic:room?frames=60&speed=2.5&motion=turning&seed=0')
 AT_REST = SyntheticSource.from_address('synthetic:room?frames=20&motion=turning')
+T_BASE_CAM = np.asarray(SOURCE.T_base_cam)
 SEEN, SHOWN = 8, 16  # frames before the lens is covered, and in all
 FRAME_NS = 33_333_333
 
@@ -84,6 +87,17 @@ def test_a_gyro_and_wheels_carry_it_and_say_so() -> None:
     assert metres < 0.02 and radians < 0.02
     turned = se3.log(se3.inverse(results[SEEN - 1].T_world_cam) @ results[-1].T_world_cam)
     assert np.linalg.norm(turned[3:]) > 0.1  # it did turn meanwhile
+
+
+def test_wheels_alone_carry_it_without_a_tilt() -> None:
+    """Constant velocity would go on with whatever tilt the noise of the last frame had."""
+    results = tracked('wheels')
+    assert {result.state for result in results[SEEN:]} == {TrackingState.DEGENERATE}
+    base = [T_BASE_CAM @ se3.inverse(r.T_world_cam) for r in (results[SEEN - 1], results[-1])]
+    turn = se3.log(base[0] @ se3.inverse(base[1]))
+    assert np.degrees(np.abs(turn[3:5])).max() < 0.1 < np.degrees(abs(turn[5]))
+    metres, _ = error(results[-1])
+    assert metres < 0.02
 
 
 def test_what_is_carried_is_no_view_for_the_mapper() -> None:
@@ -234,7 +248,67 @@ def test_every_sensor_says_whether_it_is_used() -> None:
     assert priors.reasons(2_495_000_000) == {'gyro': 'no reading for 1.00 s'}
 
 
-def test_a_sensor_without_a_place_is_refused() -> None:
+def test_a_sensor_without_a_place_is_named_and_refused_in_a_sequence() -> None:
     for changes in ({'gyro': True}, {'wheels': True}, {'planar_m': 0.01}):
-        with pytest.raises(PriorsError):
-            MotionPriors(override(Config().priors, changes))
+        config = override(Config().priors, changes)
+        (name,) = MotionPriors(config).reasons(0)
+        assert changes.keys() == {'planar_m' if name == 'planar' else name}
+        unplaced = without_places(SOURCE)
+        with pytest.raises(PriorsError, match=f'priors.{name}: it is not known'):
+            priors_of(unplaced, config)
+
+
+def without_places(source: SyntheticSource) -> SyntheticSource:
+    """Return the source without the places of its sensors."""
+    unplaced = copy(source)
+    unplaced.T_cam_imu = unplaced.T_base_cam = None  # type: ignore[assignment]
+    return unplaced
+
+
+def test_a_place_may_come_while_the_camera_is_tracked() -> None:
+    """The gyro is used from then on; the floor is that under the first pose."""
+    config = override(Config().priors, {'gyro': True, 'planar_m': 0.005})
+    priors, start = MotionPriors(config), se3.exp(np.full(6, 0.3))
+    priors.begin(start)
+    motion = ConstantVelocity(start, 0, np.zeros(6), 0.033)
+    priors.sense(AngularRate(0, np.ones(3)))
+    assert priors.since(motion, FRAME_NS) is None
+    priors.mount(R_cam_imu=np.eye(3))
+    priors.mount(T_base_cam=se3.exp(np.array([0.1, 0, 0.5, -1.2, 0, 0])))
+    assert not priors.unmounted
+    for k in range(10):
+        priors.sense(AngularRate(5_000_000 * k, np.array([0.0, 1.0, 1e-6 * k])))
+    sensed = priors.since(motion, FRAME_NS)
+    assert sensed is not None and sensed.turn is not None and sensed.floor is not None
+    np.testing.assert_allclose(sensed.floor.normal_equations(start).g, 0.0, atol=1e-9)
+
+
+def test_gravity_is_a_term_of_the_prior() -> None:
+    """The pose is drawn to where up is, as far as a hand is believed."""
+    up = np.array([0.0, -1.0, 0.0])
+    turned = se3.exp(np.array([0, 0, 0, 0.01, 0, 0]))[:3, :3]
+    hand = ConstantVelocity(np.eye(4), 0, np.zeros(6), 0.033).prior(FRAME_NS)
+    fused = Sensed(up=UpPrior(up, turned.T @ up, 1e-4)).fused(hand, np.eye(4), np.zeros(6))
+    np.testing.assert_allclose(se3.log(fused.T_world_cam)[3:], [0.01, 0, 0], atol=2e-4)
+    fused = Sensed(up=UpPrior(up, turned.T @ up, 10.0)).fused(hand, np.eye(4), np.zeros(6))
+    np.testing.assert_allclose(se3.log(fused.T_world_cam), 0.0, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_hand_held_camera_is_tracked_with_gravity() -> None:
+    source = SyntheticSource.from_address('synthetic:room?frames=120&sensor=d435i&seed=0')
+    config = override(Config(sensor=source.sensor), {'priors.gravity': True})
+    tracker = Tracker(source.camera, config, priors=priors_of(source, config.priors))
+    readings = Readings(source, config.priors)
+    for frame in source:
+        for reading in readings.until(frame.stamp_ns):
+            tracker.sense(reading)
+        result = tracker.track(frame)
+    start = source.pose(1_000_000_000_000)
+    up = start[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    seen, true = result.T_world_cam, se3.inverse(start) @ source.pose(result.stamp_ns)
+    angle = np.arccos(min((seen[:3, :3].T @ up) @ (true[:3, :3].T @ up), 1.0))
+    assert np.degrees(angle) < 0.3
+    assert tracker.priors.reasons(result.stamp_ns) == {'gyro': 'used', 'gravity': 'used'}
+    sensed = tracker._memory.sensed
+    assert sensed is not None and sensed.up is not None

@@ -441,7 +441,7 @@ def test_the_first_keyframe_comes_with_the_second_frame_or_when_flushed() -> Non
 
 def test_depth_is_tracked_and_handed_over_as_it_is_corrected() -> None:
     frames, tracker = frames_of(KINECT), tracker_for(source_of(KINECT))
-    tracker._depth_bias.correct_by(np.full(5, 0.01))
+    tracker._map.depth_bias.correct_by(np.full(5, 0.01))
     tracker.track(frames[0])
     (keyframe,) = tracker.flush()
     corrected = tracker.corrected(frames[0]).depth_m

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tracked_room import SEEN, frames, tracker  # type: ignore[import-not-found]
+from tracked_room import SEEN, SOURCE, frames, tracker  # type: ignore[import-not-found]
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.config.stages import Config
@@ -353,3 +354,12 @@ def test_the_share_of_landmarks_that_are_kept_is_told() -> None:
     memory = tracker()._memory
     assert weighed(found()).kept == pytest.approx(len(found().landmarks) / len(memory.landmarks))
     assert weighed(replace(found(), fresh=False)).kept == 1.0
+
+
+def test_depth_that_comes_again_is_of_when_it_was_taken() -> None:
+    """As new it would say that a camera that goes on stands still."""
+    made, last, frame = deepcopy(tracker()), frames()[SEEN - 1], frames()[SEEN]
+    made.track(replace(frame, depth_m=last.depth_m.copy()))
+    first, now = (SOURCE.pose(one.stamp_ns) for one in (frames()[0], frame))
+    off = se3.log(se3.inverse(made.T_world_cam) @ se3.inverse(first) @ now)
+    assert np.linalg.norm(off[:3]) < 0.0035  # as new it ends at 0.0044

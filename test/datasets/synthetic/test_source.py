@@ -34,7 +34,7 @@ def open_source(address):
         ('file:room', 'synthetic:'),
         (
             'synthetic:room?colour=red',
-            'sensor, speed, light, motion, period, direction',
+            'sensor, speed, light, motion, period, direction, mover',
         ),
         ('synthetic:room?sensor=lidar', 'kinect, d435i, ideal, d435i_measured, kinect_measured'),
         ('synthetic:room?frames=0', '1 to 1000000'),

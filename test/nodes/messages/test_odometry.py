@@ -17,8 +17,14 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
 from dcgs_ros.core import se3
+from dcgs_ros.io.ros_images import MessageError
 from dcgs_ros.nodes.messages.images import header
-from dcgs_ros.nodes.messages.odometry import CameraToBase, odometry_message
+from dcgs_ros.nodes.messages.odometry import (
+    CameraToBase,
+    odometry_message,
+    pose_with_covariance,
+    read_pose_with_covariance,
+)
 from dcgs_ros.nodes.messages.poses import matrix
 
 ROUNDING = 1e-9
@@ -112,6 +118,29 @@ def test_a_covariance_stays_one(seed: int) -> None:
     covariance = to_base.covariance(random_covariance(rng, 0.1), random_transform(rng))
     np.testing.assert_array_equal(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() >= -ROUNDING
+
+
+@settings(max_examples=50)
+@given(SEEDS)
+def test_the_covariance_of_the_camera_is_that_of_the_base_undone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    to_base, T, cov_cam = (
+        CameraToBase(random_transform(rng)), random_transform(rng), random_covariance(rng, 0.1)
+    )  # fmt: skip
+    found = to_base.camera_covariance(to_base.covariance(cov_cam, T), T)
+    np.testing.assert_allclose(found, cov_cam, atol=ROUNDING)
+
+
+@pytest.mark.parametrize('variance', [np.nan, np.inf, -0.1])
+def test_a_pose_with_a_covariance_that_is_none_is_refused(variance: float) -> None:
+    rng = np.random.default_rng(0)
+    T, covariance = random_transform(rng), random_covariance(rng, 0.1)
+    sent = pose_with_covariance(header(9, 'map'), T, covariance)
+    for found, expected in zip(read_pose_with_covariance(sent), (T, covariance), strict=True):
+        np.testing.assert_allclose(found, expected, atol=ROUNDING)
+    sent.pose.covariance[7] = variance
+    with pytest.raises(MessageError, match='covariance is none'):
+        read_pose_with_covariance(sent)
 
 
 @settings(max_examples=50)

@@ -180,7 +180,7 @@ def test_a_known_map_is_taken_in_by_the_thread_and_its_places_are_known_meanwhil
     assert places.recognise(FRAME) == ['file'] and not places.knows(0)
     bench.made[-1].go.set()
     bench.wait(lambda: bool(bench.warnings if broken else bench.made[-1].added))
-    stamps, _, submaps, keyframes, _ = bench.made[-1].restored
+    stamps, _, submaps, keyframes, *_ = bench.made[-1].restored
     assert (stamps, submaps, len(keyframes)) == ([4, 5], [0, 1], 1)
     assert places.recognise(FRAME) == (['file'] if broken else ['all'])
     assert places.knows(0) is not broken

@@ -194,3 +194,31 @@ def test_rvl_is_compiled_before_the_first_image(
         CameraSubscriber(node, settings, ignored, ignored, ignored).warm_up()
     node.destroy_node()
     assert ran == [1]
+
+
+@pytest.mark.parametrize('paused_first', [False, True])
+def test_paused_it_subscribes_to_no_images_until_it_goes_on(ros: None, paused_first: bool) -> None:
+    """Also where it is paused before it begins."""
+    node = Node('images')
+    subscriber = CameraSubscriber(node, TrackerNodeSettings(), ignored, ignored, ignored)
+
+    def topics() -> set[str]:
+        return {subscription.topic_name for subscription in node.subscriptions}
+
+    try:
+        if paused_first:
+            subscriber.pause()
+        else:
+            subscriber.resume()
+        assert not topics() & set(BASES.values())  # it has not begun
+        subscriber.begin()
+        if not paused_first:
+            assert topics() >= set(BASES.values())
+            subscriber.pause()
+        assert not topics() & set(BASES.values()) and subscriber.news().has_camera is False
+        for _ in range(2):
+            subscriber.resume()
+            assert topics() >= set(BASES.values())
+        assert len(list(node.subscriptions)) == 4  # with both camera_infos: each once
+    finally:
+        node.destroy_node()

@@ -40,7 +40,9 @@ class Known:
 
     send_static = send
 
-    def lookup(self, parent: str, child: str) -> NDArray[np.float64] | None:
+    def lookup(
+        self, parent: str, child: str, stamp_ns: int | None = None
+    ) -> NDArray[np.float64] | None:
         self.asked.append((parent, child))
         return self.T
 

@@ -181,12 +181,12 @@ def test_what_was_never_tracked_is_not_to_move_back() -> None:
 
 
 def test_an_unknown_place_on_the_base_is_a_warning() -> None:
-    waiting = judge(FINE, None, False, mounting='waiting for TF')
+    waiting = judge(FINE, None, False, doubt='waiting for TF')
     assert (waiting.level, waiting.message) == (Level.WARN, 'waiting for TF')
-    assumed = judge(FINE, GOOD, False, mounting='no TF from a to b')
+    assumed = judge(FINE, GOOD, False, doubt='no TF from a to b')
     assert assumed.level is Level.WARN
     assert assumed.message == 'tracking, but no TF from a to b'
-    assert 'no depth' in message(replace(FINE, pairs=0, depth=0), mounting='waiting')
+    assert 'no depth' in message(replace(FINE, pairs=0, depth=0), doubt='waiting')
 
 
 @pytest.mark.parametrize('axis', range(6))
@@ -205,3 +205,11 @@ def test_numbers_are_plain_and_leave_out_what_is_not_known() -> None:
     assert all(type(value) in (int, float, str) for value in shown.values())
     lost = numbers(result_in(TrackingState.LOST))
     assert lost['state'] == 'lost' and not {'kappa', 'weakest'} & lost.keys()
+
+
+def test_a_prior_that_is_not_used_is_named() -> None:
+    priors = {'gyro': 'no reading for 0.52 s', 'wheels': 'used', 'planar': 'used'}
+    verdict = judge(FINE, GOOD, False, priors=priors)
+    assert verdict.level is Level.WARN
+    assert verdict.message == 'tracking, but without gyro: no reading for 0.52 s'
+    assert judge(FINE, GOOD, False, priors={'gyro': 'used'}).level is Level.OK

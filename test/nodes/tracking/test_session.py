@@ -28,9 +28,10 @@ from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.kernels import jit
 from dcgs_ros.core.keyframe import Correction, Keyframe, MapUpdate
+from dcgs_ros.core.tracking.expectation import ExpectedPlace
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
-from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, features_of
+from dcgs_ros.io.known_places import VIEW_DEPTH_UNIT_M, KnownView, features_of
 from dcgs_ros.io.saved_tracker import SavedTracker
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH, EPOCHS, epoch_of_file, same_tracker
@@ -367,6 +368,36 @@ def test_a_tracker_that_starts_again_goes_on_in_the_same_map() -> None:
     after.assert_keyframes_are_whole()
 
 
+def test_where_the_camera_is_said_to_be_it_is_looked_for_once_there_is_a_tracker() -> None:
+    """Far from all keyframes it is not found otherwise."""
+    frames, before = frames_of(HALF), Feeder()
+    before.feed(frames[:8])
+    far = se3.exp(np.array([9.0, 0, 0, 0, 0, 0]))
+    found = replace(resumable_of(before), poses=[far], stamps_ns=(1,), submaps=())
+    true = T_BASE_CAM @ se3.inverse(SOURCE.pose(frames_of(FULL)[0].stamp_ns))
+    place = ExpectedPlace(true @ SOURCE.pose(frames[7].stamp_ns), np.zeros((6, 6)))
+    for expecting in (False, True):
+        after = Feeder()
+        after.session.resume(found)
+        if expecting:
+            after.session.expect(place)
+        results = after.feed(frames[7:9])
+        if expecting:
+            assert_true(results, frames[7:9], T_BASE_CAM, found=2)
+        else:
+            assert states(results) == [TrackingState.LOST] * 2
+            after.session.expect(place)
+            assert 'around' in after.warnings[-1]
+            assert_true(after.feed(frames[9:10]), frames[9:10], T_BASE_CAM, found=1)
+
+
+def test_without_a_map_there_is_nowhere_to_look_for_the_camera() -> None:
+    feeder = Feeder()
+    feeder.session.expect(ExpectedPlace(T_BASE_CAM, np.eye(6)))
+    assert 'no map yet' in feeder.warnings[0]
+    assert_true(feeder.feed(frames_of(HALF)[:1]), frames_of(HALF)[:1], T_BASE_CAM)
+
+
 def test_in_a_map_of_another_place_nothing_is_found_and_nothing_is_made() -> None:
     """The tracker is lost rather than wrong; a reset begins a new map."""
     before = Feeder()
@@ -641,7 +672,7 @@ def test_the_submaps_of_a_resumed_map_are_its_own() -> None:
 
 def with_images(known: KnownMap, frames: Sequence[RgbdFrame]) -> KnownMap:
     """Add the images of the keyframes, as the mapper saves them."""
-    by_stamp, images = {frame.stamp_ns: frame for frame in frames}, []
+    by_stamp, views = {frame.stamp_ns: frame for frame in frames}, []
     for k, stamp_ns in enumerate(known.stamps_ns):
         frame = by_stamp[stamp_ns]
         depth = np.rint(frame.depth_m / VIEW_DEPTH_UNIT_M).astype(np.uint16)
@@ -649,9 +680,9 @@ def with_images(known: KnownMap, frames: Sequence[RgbdFrame]) -> KnownMap:
             cv2.imencode(kind, image)[1].tobytes()
             for kind, image in (('.jpg', frame.color[..., ::-1]), ('.png', depth))
         )
-        images.append((k, jpeg, png))
-    features = features_of(images, known.camera, EAGER.sensor)
-    return replace(known, images=tuple(images), features=tuple(features))
+        views.append(KnownView(k, jpeg, png))
+    features = features_of(views, known.camera, EAGER.sensor)
+    return replace(known, views=tuple(views), features=tuple(features))
 
 
 def test_the_back_end_takes_in_the_keyframes_of_a_file(tmp_path: Path) -> None:
@@ -681,7 +712,7 @@ def test_the_back_end_takes_in_the_keyframes_of_a_file(tmp_path: Path) -> None:
     found = {one.keyframe for one in tracker.recogniser.recognise(frames[2])}
     assert found & set(range(count))  # by the images of the file
     kept = after.session.known
-    assert isinstance(kept, KnownMap) and not kept.images
+    assert isinstance(kept, KnownMap) and not kept.views
     poses = tracker.corrected_poses.T_world_cam
     np.testing.assert_allclose(back_end.poses[:count], poses[:count], atol=1e-9)
 

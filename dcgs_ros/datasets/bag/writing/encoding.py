@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The dcgs_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Encoding ROS 2 messages without ROS: poses, IMU samples, the camera's static transform.
+"""Encoding ROS 2 messages without ROS: poses, IMU samples, odometry, static transforms.
 
 Topics and frames are those of realsense2_camera.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,16 @@ from ....core import se3
 from ....core.errors import DcgsError
 from ....core.trajectory import Trajectory
 from ....io.trajectory import format_stamp_ns
-from ...source import ImuSample
+from ...mounts import Mount
+from ...source import ImuSample, OdometrySample
 from ..messages import RawMessage, message_types
-from ..topics import GROUNDTRUTH_TOPIC, STATIC_TOPIC
+from ..topics import GROUNDTRUTH_TOPIC, ODOMETRY_TOPIC, STATIC_TOPIC
 
 CAMERA = '/camera/camera'
 OPTICAL_FRAME = 'camera_color_optical_frame'
+LINK_FRAME = 'camera_link'
 
 _NS_PER_S = 1_000_000_000
-# REP 103: the optical frame has z forward and x right, the link x forward and z up.
-_QUAT_WXYZ_LINK_OPTICAL = np.array([0.5, -0.5, 0.5, -0.5])
 _UNKNOWN = np.array([-1.0, *[0.0] * 8])  # a covariance that declares the value unknown
 
 
@@ -56,14 +57,16 @@ def on_topic(topic: str, stamp_ns: int, message: Any) -> RawMessage:
     return RawMessage(topic, name, stamp_ns, bytes(message_types().serialize_cdr(message, name)))
 
 
-def encode_link(stamp_ns: int) -> RawMessage:
-    """Return the static transform from camera_link to the optical frame."""
-    rotation = _quaternion(_QUAT_WXYZ_LINK_OPTICAL)
-    transform = make('geometry_msgs/Transform', _vector('Vector3', (0.0, 0.0, 0.0)), rotation)
-    stamped = make(
-        'geometry_msgs/TransformStamped', header(stamp_ns, 'camera_link'), OPTICAL_FRAME, transform
-    )
-    return on_topic(STATIC_TOPIC, stamp_ns, make('tf2_msgs/TFMessage', [stamped]))
+def encode_mounts(mounts: Sequence[Mount], stamp_ns: int) -> RawMessage:
+    """Return the static transforms between frames."""
+    stamped = []
+    for parent, child, T in mounts:
+        rotation = _quaternion(se3.to_quaternion(T))
+        transform = make('geometry_msgs/Transform', _vector('Vector3', T[:3, 3]), rotation)
+        stamped.append(
+            make('geometry_msgs/TransformStamped', header(stamp_ns, parent), child, transform)
+        )
+    return on_topic(STATIC_TOPIC, stamp_ns, make('tf2_msgs/TFMessage', stamped))
 
 
 def encode_truth(truth: Trajectory, start_ns: int) -> Iterator[RawMessage]:
@@ -90,6 +93,24 @@ def encode_imu(sample: ImuSample) -> RawMessage:
             values[-1] = _UNKNOWN
     message = make('sensor_msgs/Imu', header(sample.stamp_ns, sample.frame), *values)
     return on_topic(f'{CAMERA}/{topic}', sample.stamp_ns, message)
+
+
+def encode_odometry(sample: OdometrySample) -> RawMessage:
+    """Return an Odometry, without covariances."""
+    x, y, heading = sample.pose
+    forward, left, turning = sample.velocity
+    upright = math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)
+    place = make('geometry_msgs/Pose', _vector('Point', (x, y, 0.0)), _quaternion(upright))
+    velocity = (_vector('Vector3', xyz) for xyz in ((forward, left, 0.0), (0.0, 0.0, turning)))
+    message = make(
+        'nav_msgs/Odometry', header(sample.stamp_ns, sample.frame), sample.base_frame,
+        make('geometry_msgs/PoseWithCovariance', place, np.zeros(36)),
+        make(
+            'geometry_msgs/TwistWithCovariance', make('geometry_msgs/Twist', *velocity),
+            np.zeros(36),
+        ),
+    )  # fmt: skip
+    return on_topic(ODOMETRY_TOPIC, sample.stamp_ns, message)
 
 
 def _vector(name: str, xyz: NDArray[np.float64] | tuple[float, float, float]) -> Any:

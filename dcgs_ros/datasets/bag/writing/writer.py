@@ -16,10 +16,18 @@ from pathlib import Path
 
 from ....core.frame import RgbdFrame
 from ...images.association import LARGEST_PAIR_GAP_NS
-from ...source import Source
+from ...mounts import mounts_of
+from ...source import RobotSource, Source
 from ..camera import SENSOR_KEY
 from ..messages import RawMessage
-from .encoding import encode_imu, encode_link, encode_truth
+from .encoding import (
+    LINK_FRAME,
+    OPTICAL_FRAME,
+    encode_imu,
+    encode_mounts,
+    encode_odometry,
+    encode_truth,
+)
 from .frame_encoder import FrameEncoder
 from .storage import BagOptions, message_writer, open_writer
 
@@ -29,9 +37,10 @@ _MARGIN_NS = 100_000_000  # before and after the frames, in which poses and IMU 
 def write_bag(
     folder: Path, source: Source, frames: Iterable[RgbdFrame], options: BagOptions
 ) -> list[str]:
-    """Write these frames of the source to a new folder, with the source's poses and IMU samples.
+    """Write these frames of the source to a new folder, with the source's poses and sensors.
 
-    Of poses and samples only those within the time of the frames. Returns what was lost, one line
+    IMU samples, odometry and static transforms are written where there are some. Of poses and
+    samples only those within the time of the frames. Returns what was lost, one line
     each. Raises `BagWritingError`, or `EncodingError` for a stamp that messages cannot hold.
     """
     encoder = FrameEncoder(source.camera, options.compress)
@@ -51,10 +60,14 @@ def _messages(source: Source, frames: Iterator[RawMessage]) -> Iterator[RawMessa
     if first is None:
         return
     start_ns = max(first.stamp_ns - _MARGIN_NS, 0)
-    yield encode_link(start_ns)
+    yield encode_mounts(mounts_of(source, LINK_FRAME, OPTICAL_FRAME), start_ns)
     inertial = (encode_imu(sample) for sample in source.imu() if sample.stamp_ns >= start_ns)
     truth = () if source.groundtruth is None else encode_truth(source.groundtruth, start_ns)
-    beside = merge(inertial, truth, key=lambda message: message.stamp_ns)
+    wheels: Iterator[RawMessage] = iter(())
+    if isinstance(source, RobotSource):
+        samples = source.odometry()
+        wheels = (encode_odometry(sample) for sample in samples if sample.stamp_ns >= start_ns)
+    beside = merge(inertial, wheels, truth, key=lambda message: message.stamp_ns)
     yield from _merged(chain([first], frames), beside)
 
 

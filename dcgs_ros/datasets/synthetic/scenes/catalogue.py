@@ -30,7 +30,7 @@ class SceneKind:
 
 
 SCENES = {
-    'room': SceneKind(room, ('handheld', 'wheeled', 'turning')),
+    'room': SceneKind(room, ('handheld', 'wheeled', 'turning'), extras={'mover': None}),
     'plane': SceneKind(plane),
     'zigzag': SceneKind(zigzag),
     'desk': SceneKind(desk, sensor='d435i_measured'),

@@ -12,17 +12,18 @@ from ..motion.path import Motion as Moves
 from ..motion.route import GAITS, Route
 from ..motion.turning import OnTheSpot
 from .builder import SceneBuilder, add_clutter, add_desk, add_monitor, add_walls
+from .movers import MOVERS
 from .scenario import Scenario
 
 _MIDDLE = (-0.4, 0.1)
 _ROUND_THE_ROOM = ((-1.4, -1.0), (0.6, -1.0), (0.6, 1.2), (-1.4, 1.2))
 
 
-def room(rng: np.random.Generator, motion: str) -> Scenario:
+def room(rng: np.random.Generator, motion: str, mover: str | None = None) -> Scenario:
     """Build a study of 5.6 x 4.8 x 2.6 m.
 
     In the hand the camera stays in its middle, facing the desks; on wheels it goes round, or turns
-    on the spot.
+    on the spot. `mover`, one of `MOVERS`, comes in front of it.
     """
     build = SceneBuilder()
     add_walls(build)
@@ -62,7 +63,8 @@ def room(rng: np.random.Generator, motion: str) -> Scenario:
     if motion != 'handheld':
         on_wheels = motion == 'wheeled'
         moves = Route(_ROUND_THE_ROOM, GAITS[motion]) if on_wheels else OnTheSpot(_MIDDLE)
-    return Scenario(build.build((0.5, 0.0, 2.3), 0.55), moves, pattern=4.0)
+    scene = build.build((0.5, 0.0, 2.3), 0.55)
+    return Scenario(scene, moves, pattern=4.0, mover=MOVERS[mover] if mover else None)
 
 
 def plane(rng: np.random.Generator) -> Scenario:

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..motion.path import Motion
+from ..motion.path import Motion, Path
 from ..raycast import Scene
+from .movers import Mover
 
 
 @dataclass(frozen=True)
@@ -17,3 +19,4 @@ class Scenario:
     scene: Scene
     motion: Motion
     pattern: float  # contrast of an infrared dot pattern on white at 1 m, grey levels
+    mover: Callable[[Path], Mover] | None = None  # what moves in front of the camera on its path

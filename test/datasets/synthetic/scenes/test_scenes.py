@@ -7,6 +7,7 @@ import pytest
 
 from dcgs_ros.datasets.source import SourceError
 from dcgs_ros.datasets.synthetic.raycast import cast
+from dcgs_ros.datasets.synthetic.scenes.movers import MOVERS
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.datasets.synthetic.textures import build_textures
 
@@ -97,3 +98,44 @@ def test_what_a_scene_lacks_is_refused(address, named):
     """With what it has."""
     with pytest.raises(SourceError, match=named):
         open_source(address)
+
+
+@pytest.mark.parametrize('mover', MOVERS)
+def test_a_mover_crosses_the_view_of_the_room_and_leaves_it_as_it_was(mover):
+    """It covers a part of the image, at its distance, and moves; the room is the same without."""
+    address = 'room?sensor=ideal&speed=0.5'
+    source, empty = open_source(f'{address}&mover={mover}'), open_source(address)
+    covered = []
+    for index in (40, 60, 170):
+        with_it, without = (one._see(index).depth_m for one in (source, empty))
+        differs = with_it < without - 0.05
+        assert (with_it[~differs] > without[~differs] - 0.05).all()
+        covered.append(differs)
+    assert 0.05 < covered[1].mean() < 0.5
+    assert (covered[0] ^ covered[2]).mean() > 0.03
+    if mover != 'door':  # that stays, open
+        assert not covered[2].any()
+
+
+def test_a_box_stands_for_two_seconds_and_a_person_walks_a_metre_a_second():
+    """So they move, whatever the seed and the speed of the camera are."""
+    source = open_source('room?mover=box&seed=1')
+    second = 1_000_000_000
+    start = next(source.imu()).stamp_ns + second // 10
+    centres = [
+        source.scene_at(start + round(t * second)).centres[-1] for t in (1.0, 1.7, 3.5, 4.5)
+    ]
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    np.testing.assert_allclose(steps, [0.48, 0.0, 0.72], atol=1e-9)
+    walker = open_source('room?mover=person&speed=2')
+    heads = [walker.scene_at(start + round(t * second)).centres[-1] for t in (1.0, 2.0, 3.0)]
+    np.testing.assert_allclose(np.linalg.norm(np.diff(heads, axis=0), axis=1), 1.0, atol=1e-9)
+    assert len(walker.scene_at(start + 9 * second).kinds) == len(walker.scene.kinds)
+
+
+def test_only_the_room_has_movers():
+    """Elsewhere walls would be in their way."""
+    with pytest.raises(SourceError, match='only room has'):
+        open_source('corridor?mover=person')
+    with pytest.raises(SourceError, match='person, door, box'):
+        open_source('room?mover=cat')

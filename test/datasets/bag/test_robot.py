@@ -117,6 +117,10 @@ def test_an_imu_that_is_placed_is_preferred_and_stands_alone(tmp_path: Path) -> 
     nowhere = elsewhere(imu('/camera/camera/imu'), 'unknown')
     robot = found(tmp_path, static_entry(tree), nowhere, elsewhere(imu('/imu'), 'base_imu'))
     assert (robot.imu_topics, robot.imu_frames) == (('/imu',), ('base_imu',))
+    config = override(Config().priors, {'gravity': True})
+    readings = Readings(BagSource(tmp_path / 'bag'), config)
+    kinds = [type(reading).__name__ for reading in readings.until(2**62)]
+    assert sorted(kinds) == ['AngularRate', 'SpecificForce']
 
 
 @pytest.mark.parametrize(

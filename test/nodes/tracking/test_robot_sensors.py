@@ -32,6 +32,7 @@ from dcgs_ros.nodes.tracking.session import TrackingSession
 CAMERA_FRAME = 'camera_color_optical_frame'
 IMU, GYRO, ODOM = '/camera/camera/imu', '/camera/camera/gyro/sample', '/odom'
 ACCEL = '/camera/camera/accel/sample'
+START_NS = 1_000_000_000_000  # of the first frame
 FRAMES = 40  # two windows of half a second
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal&speed=2')
 T_BASE_CAM = se3.exp(np.array([0.1, 0.0, 0.2, 0.3, -1.2, 0.4]))
@@ -119,12 +120,15 @@ def camera() -> PinholeCamera:
     return PinholeCamera(full.width // 2, full.height // 2, fx, fy, cx, cy)
 
 
+def halved(frame: RgbdFrame) -> RgbdFrame:
+    return replace(
+        frame, color=frame.color[::2, ::2].copy(), depth_m=frame.depth_m[::2, ::2].copy()
+    )
+
+
 @cache
 def frames() -> tuple[RgbdFrame, ...]:
-    return tuple(
-        replace(frame, color=frame.color[::2, ::2].copy(), depth_m=frame.depth_m[::2, ::2].copy())
-        for frame in SOURCE
-    )
+    return tuple(map(halved, SOURCE))
 
 
 @pytest.fixture(autouse=True)
@@ -158,6 +162,17 @@ def in_degrees(sample: ImuSample) -> ImuSample:
     assert sample.angular_velocity is not None
     x, y, z = np.degrees(sample.angular_velocity).tolist()
     return replace(sample, angular_velocity=(x, y, z))
+
+
+def test_the_tracker_has_the_priors_of_the_node_in_every_map() -> None:
+    robot = Robot(priors__gyro=True)
+    for _ in range(2):
+        for k in range(2):
+            robot.track(halved(SOURCE.render(k)))
+        assert robot.session.tracker is not None
+        assert robot.session.tracker.priors is robot.sensors.priors
+        robot.session.reset()
+    assert robot.sensors.reasons()['gyro'].startswith('no reading yet')
 
 
 @pytest.mark.slow
@@ -230,7 +245,7 @@ def test_where_the_imu_is_may_be_set() -> None:
 
 def test_a_silent_topic_is_named() -> None:
     robot = Robot(priors__gyro=True, priors__wheels=True)
-    robot.sensors.sense(frames()[0].stamp_ns, CAMERA_FRAME)
+    robot.sensors.sense(START_NS, CAMERA_FRAME)
     said = robot.sensors.reasons()
     assert said['gyro'].endswith(f'nobody publishes {IMU} or {GYRO}')
     assert said['wheels'] == 'no reading yet, or none that names its frame'
@@ -261,7 +276,7 @@ def test_a_camera_that_is_placed_by_setting_is_so_on_wheels_too() -> None:
 def test_the_floor_needs_no_odometry() -> None:
     robot = Robot(priors__planar_m=0.003, node__base_frame='base_link')
     robot.tf.put('base_link', CAMERA_FRAME, T_BASE_CAM)
-    robot.sensors.sense(frames()[0].stamp_ns, CAMERA_FRAME)
+    robot.sensors.sense(START_NS, CAMERA_FRAME)
     assert not robot.sensors.priors.unmounted and not robot.node.heard
 
 
@@ -276,7 +291,7 @@ def test_odometry_may_come_by_tf_at_the_stamps_of_frames() -> None:
         return se3.exp(np.array([1e-9 * (stamp_ns or 0) - 1000.0, 0, 0, 0, 0, 0]))
 
     robot.tf.known['odom', 'base_link'] = odom
-    stamps = [frame.stamp_ns for frame in frames()[:3]]
+    stamps = [START_NS, START_NS + 33_333_333, START_NS + 66_666_667]
     for stamp_ns in stamps:
         robot.sensors.sense(stamp_ns, CAMERA_FRAME)
     assert asked == stamps

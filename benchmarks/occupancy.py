@@ -21,7 +21,6 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,13 +190,9 @@ class _WithCrate(SyntheticSource):
         super().__init__(scene, options, name)
         build = SceneBuilder()
         build.box(_CRATE[0], _CRATE[1], 'books', 0.8)
-        crate = build.build((0, 0, 0), 0.0)
-        rows = ('kinds', 'centres', 'halves', 'R_world_local', 'textures', 'mappings', 'tints')
         room = self._scenario.scene
-        both: dict[str, Any] = {
-            name: np.concatenate([getattr(room, name), getattr(crate, name)]) for name in rows
-        }
-        self._scenario = replace(self._scenario, scene=replace(room, **both))
+        crate = build.build((0, 0, 0), 0.0)
+        self._scenario = replace(self._scenario, scene=room.beside(crate))
 
 
 def ghosts(seed: int, config: GridConfig) -> tuple[int, int]:

@@ -29,10 +29,6 @@ from dcgs_ros.io.config_file import apply_file
 from dcgs_ros.nodes.parameters import Parameters
 
 ROOT = Path(__file__).resolve().parents[2]
-# Others are of a robot, and of several nodes.
-CAMERA_FILES = [
-    path for path in sorted((ROOT / 'config').glob('*.yaml')) if not path.stem.startswith('robot')
-]
 TYPES = {
     int: ParameterType.PARAMETER_INTEGER,
     float: ParameterType.PARAMETER_DOUBLE,
@@ -96,7 +92,7 @@ def test_every_setting_is_a_parameter_that_describes_itself(
         assert bounds == ([setting.range] if setting.range is not None else [])
 
 
-@pytest.mark.parametrize('path', CAMERA_FILES, ids=lambda p: p.stem)
+@pytest.mark.parametrize('path', sorted((ROOT / 'config').glob('*.yaml')), ids=lambda p: p.stem)
 def test_files_of_parameters_load_as_they_are(declare: Declare, path: Path) -> None:
     _, parameters, _ = declare(TrackerSettings(), '--params-file', str(path))
     assert parameters.settings == apply_file(TrackerSettings(), path)
@@ -105,7 +101,7 @@ def test_files_of_parameters_load_as_they_are(declare: Declare, path: Path) -> N
 
 def test_each_node_takes_its_own_of_a_robots_file(declare: Declare) -> None:
     """Priors are the tracker's, the grid is the mapper's; neither minds the other's."""
-    words = ('--params-file', str(ROOT / 'config' / 'robot.yaml'))
+    words = ('--params-file', str(ROOT / 'config' / 'robot' / 'dcgs.yaml'))
     _, tracker, _ = declare(TrackerSettings(), *words)
     assert tracker.settings.node.tf == 'map_to_odom'
     assert tracker.settings.priors.wheels

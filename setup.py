@@ -22,7 +22,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
-        (f'share/{NAME}/config', sorted(glob('config/*'))),
+        (f'share/{NAME}/config', sorted(glob('config/*.*'))),
+        (f'share/{NAME}/config/robot', sorted(glob('config/robot/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
     ],
     zip_safe=False,

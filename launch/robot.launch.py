@@ -16,7 +16,7 @@ _EITHER = ['true', 'false']
 _ARGUMENTS = [
     DeclareLaunchArgument(
         'params',
-        default_value=str(_SHARE / 'config' / 'robot.yaml'),
+        default_value=str(_SHARE / 'config' / 'robot' / 'dcgs.yaml'),
         description='Parameter file of tracker and mapper.',
     ),
     DeclareLaunchArgument(
@@ -28,7 +28,7 @@ _ARGUMENTS = [
     ),
     DeclareLaunchArgument(
         'ekf_params',
-        default_value=str(_SHARE / 'config' / 'robot_ekf.yaml'),
+        default_value=str(_SHARE / 'config' / 'robot' / 'ekf.yaml'),
         description='Parameter file of the filter.',
     ),
     DeclareLaunchArgument(

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from ..core.config.nodes import MapperSettings, core_config
@@ -30,6 +29,7 @@ from ..core.tracking.warmup import ANY_CAMERA
 from ..io.ros_images import stamp_ns
 from .health import LOADING, Verdict
 from .lifetime import Worker, run
+from .managed import INACTIVE, UNCONFIGURED, ManagedNode
 from .mapping.keyframe_subscriber import KeyframeSubscriber
 from .mapping.navigation import Navigation, Seen
 from .mapping.outputs import MapOutputs
@@ -47,16 +47,21 @@ _LIVE = ('mapping', 'rates')
 _FIXED = ('seed', 'ssim_weight', 'depth_weight')
 
 
-class MapperNode(Node):
+class MapperNode(ManagedNode):
     """Photorealistic map from a tracker's keyframes."""
 
     def __init__(self) -> None:
-        """Subscribe, and start the thread."""
+        """Begin at once, unless another node is to say when."""
         super().__init__('dcgs_mapper')
         self._reporter = Reporter(self, 'mapping', self._judged)
         self._warn = self._reporter.warn
         defaults = override(MapperSettings(), ONLINE)
         self._params = Parameters(self, defaults, _is_live, self._reconfigure)
+        if self._params.settings.node.autostart:
+            self.autostart()
+
+    def configure(self) -> None:
+        """Subscribe, and start the thread, which maps once it is active."""
         settings = self._params.settings
         self._keyframes = KeyframeSubscriber(self)
         trackers = self._keyframes.trackers
@@ -71,13 +76,19 @@ class MapperNode(Node):
         self._navigation = Navigation(self, settings)
         self._queue = self._keyframes.queue
         self._pose: PoseStamped | None = None  # latest of the camera
-        self._ready = False
         self.create_subscription(PoseStamped, 'camera_pose', self._on_pose, RELIABLE)
         self.create_subscription(PointCloud2, 'keyframe_poses', self._on_poses, latched(1))
         offer(self, '~/save_map', lambda: self._when_ready(self._save))
         offer(self, '~/load_map', lambda: self._when_ready(self._load))
         offer(self, '~/reset', self._on_reset)
         self._worker = Worker(self, self._work, 'mapping')
+
+    def activate(self) -> None:
+        """Let the thread map; the tracker sends the keyframes that passed by meanwhile."""
+        self._queue.submit(lambda: self._outputs.keyframes(self._session.mapper))
+
+    def deactivate(self) -> None:
+        """Let the thread rest: it looks at `active`, and lets keyframes pass by."""
 
     def _on_pose(self, pose: PoseStamped) -> None:
         self._pose = pose
@@ -131,6 +142,8 @@ class MapperNode(Node):
         return text
 
     def _reconfigure(self, settings: MapperSettings) -> None:
+        if not self.configured:
+            return
         config = core_config(settings)
         self._queue.submit(lambda: self._session.reconfigure(config))
 
@@ -149,6 +162,9 @@ class MapperNode(Node):
         busy = False
         while not self._queue.closed:
             parts = self._queue.take(0.0 if busy else _PAUSE_S)
+            if not self.active:
+                busy = False
+                continue
             if parts is not None:
                 self._insert(parts)
             outputs.update_when_due(session.mapper)
@@ -200,11 +216,15 @@ class MapperNode(Node):
 
     def _judged(self) -> tuple[Verdict, dict[str, object]]:
         """Return how mapping goes."""
-        verdict = self._session.judge(len(self._queue)) if self._ready else LOADING
+        if not self.configured:
+            return UNCONFIGURED, {}
+        verdict = LOADING
+        if self._ready:
+            verdict = self._session.judge(len(self._queue)) if self.active else INACTIVE
         values = {**self._keyframes.figures(), **self._session.figures()}
         return verdict, values
 
-    def close(self) -> None:
+    def end(self) -> None:
         """End the thread; save the map if that is set."""
         self._queue.close()
         if not self._ready:  # the thread is loading kernels: there is no map

@@ -12,7 +12,6 @@ from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
-from rclpy.node import Node
 
 from ..core.config.nodes import TrackerSettings, core_config
 from ..core.config.presets import ONLINE
@@ -23,6 +22,7 @@ from ..core.tracking.result import TrackingState
 from ..core.tracking.warmup import ANY_CAMERA, warm_up
 from .health import LOADING, PAUSED, Verdict
 from .lifetime import Worker, run
+from .managed import INACTIVE, UNCONFIGURED, ManagedNode
 from .parameters import Parameters
 from .reporter import Reporter
 from .services import answered, offer, refused
@@ -55,16 +55,21 @@ _FIXED = (
 )
 
 
-class TrackerNode(Node):
+class TrackerNode(ManagedNode):
     """Odometry from an RGB-D camera."""
 
     def __init__(self) -> None:
-        """Subscribe, and start the threads."""
+        """Begin at once, unless another node is to say when."""
         super().__init__('dcgs_tracker')
         self._reporter = Reporter(self, 'tracking', self._judged)
         self._warn = self._reporter.warn
         defaults = override(TrackerSettings(), ONLINE)
         self._params = Parameters(self, defaults, _is_live, self._reconfigure)
+        if self._params.settings.node.autostart:
+            self.autostart()
+
+    def configure(self) -> None:
+        """Subscribe, and start the threads; images are subscribed to once it is active."""
         settings = self._params.settings
         node_settings = settings.node
         self._outputs = TrackerOutputs(self, node_settings, self._warn)
@@ -96,8 +101,16 @@ class TrackerNode(Node):
         offer(self, '~/save_map', lambda: self._when_ready(self._save))
         offer(self, '~/load_map', lambda: self._when_ready(self._load))
         self._rate = FrameRate(node_settings.max_rate_hz)
-        self._ready = False
+        self._camera.pause()
         self._worker = Worker(self, self._work, 'tracking')
+
+    def activate(self) -> None:
+        """Subscribe to the images."""
+        self._camera.resume()
+
+    def deactivate(self) -> None:
+        """Subscribe to no images."""
+        self._camera.pause()
 
     def _on_answer(self, update: MapUpdate, epoch: int) -> None:
         self._camera.queue.submit(lambda: self._session.apply(update, epoch))
@@ -127,6 +140,8 @@ class TrackerNode(Node):
         return answered(PAUSED.message)
 
     def _on_resume(self) -> Future[str]:
+        if not self.active:
+            return refused(INACTIVE.message)
         self._camera.resume()
         return answered('tracking goes on with the next image')
 
@@ -150,6 +165,8 @@ class TrackerNode(Node):
         return f'{known} in {path}: the camera is looked for in it'
 
     def _reconfigure(self, settings: TrackerSettings) -> None:
+        if not self.configured:
+            return
         config = core_config(settings)
         self._camera.queue.submit(lambda: self._session.reconfigure(config))
 
@@ -219,9 +236,11 @@ class TrackerNode(Node):
 
     def _judged(self) -> tuple[Verdict, dict[str, object]]:
         """Return how tracking goes."""
+        if not self.configured:
+            return UNCONFIGURED, {}
         session, news = self._session, self._camera.news()
         priors = self._sensors.reasons()
-        verdict = PAUSED if self._camera.paused else LOADING
+        verdict = (PAUSED if self.active else INACTIVE) if self._ready else LOADING
         if self._ready and not self._camera.paused:
             missed = self._camera.missed_text()
             if missed is not None:
@@ -237,7 +256,7 @@ class TrackerNode(Node):
         }  # fmt: skip
         return verdict, values
 
-    def close(self) -> None:
+    def end(self) -> None:
         """End the threads; write the trajectory if that is set."""
         self._camera.queue.close()
         if self._ready:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.occupancy import ADDRESSES, mapped, score, solid, truth
+from benchmarks.occupancy import ADDRESSES, ghosts, mapped, score, solid, truth
 from dcgs_ros.core.config.navigation import GridConfig
 from dcgs_ros.core.navigation.occupancy import OccupancyMap
 from dcgs_ros.core.navigation.voxels import FREE, OCCUPIED, UNKNOWN
@@ -56,3 +56,11 @@ def test_grid_of_a_room_is_right() -> None:
     found, times_ms = mapped(ADDRESSES[0], 2, GridConfig())
     assert found.right > 0.98
     assert np.median(times_ms) < 100.0
+
+
+@pytest.mark.slow
+def test_crate_that_went_leaves_no_ghost() -> None:
+    """Half of the time it stands before the camera; what is left may not have been seen since."""
+    before, after = ghosts(2, GridConfig())
+    assert before > 30
+    assert after <= 0.05 * before

@@ -138,7 +138,7 @@ def test_a_replay_waits_for_all_who_have_to_subscribe_and_says_for_whom(make: Ma
     for kind, topic in ((CameraInfo, 'color/camera_info'), (Image, 'color/image_raw'),
                         (Image, 'aligned_depth_to_color/image_raw')):  # fmt: skip
         ear.create_subscription(kind, f'camera/camera/{topic}', lambda _: None, 1)
-    outputs = player._outputs.values()
+    outputs = [player._outputs[name] for name in replay._IMAGES]
     spin_until(lambda: all(out.get_subscription_count() for out in outputs), player, ear)
     assert player._lacking().startswith('dcgs_tracker to subscribe to /camera/camera/color')
     eye = make(TrackerNode)

@@ -215,7 +215,7 @@ def test_a_robot_may_have_its_own_filter_and_start_nav2(launch: Any) -> None:
 
 
 def test_the_robots_parameters_are_settings_of_the_nodes() -> None:
-    (file,) = yaml.safe_load((ROOT / 'config' / 'robot.yaml').read_text()).values()
+    (file,) = yaml.safe_load((ROOT / 'config' / 'robot' / 'dcgs.yaml').read_text()).values()
     given = {
         f'{stage}.{name}': value
         for stage, values in file['ros__parameters'].items()

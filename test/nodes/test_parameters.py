@@ -99,6 +99,17 @@ def test_files_of_parameters_load_as_they_are(declare: Declare, path: Path) -> N
     assert parameters.settings.sensor == apply_file(Config(), path).sensor
 
 
+def test_each_node_takes_its_own_of_a_robots_file(declare: Declare) -> None:
+    """Priors are the tracker's, the grid is the mapper's; neither minds the other's."""
+    words = ('--params-file', str(ROOT / 'config' / 'robot' / 'dcgs.yaml'))
+    _, tracker, _ = declare(TrackerSettings(), *words)
+    assert tracker.settings.node.tf == 'map_to_odom'
+    assert tracker.settings.priors.wheels
+    _, mapper, _ = declare(MapperSettings(), *words)
+    assert mapper.settings.grid.max_height_m == 0.8
+    assert mapper.settings.node.base_frame == 'base_link'
+
+
 def test_a_value_may_come_as_integer_as_auto_and_from_the_command_line(declare: Declare) -> None:
     node, parameters, _ = declare(
         TrackerSettings(),

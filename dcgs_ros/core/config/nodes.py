@@ -35,6 +35,11 @@ class TrackerNodeSettings(Stage):
         'no other node does; map_to_odom (map to odom_frame only) if another node, such as wheel '
         'odometry, broadcasts odom_frame to base_frame; none.',
     )
+    autostart: bool = described(
+        True,
+        "Configure and activate at the start; else another node does, such as nav2's lifecycle "
+        'manager.',
+    )
     tf_delay_s: float = ranged(
         0.05,
         0.005,
@@ -205,6 +210,11 @@ class MapperNodeSettings(Stage):
     )
     base_to_camera: str = described(
         'auto', 'Pose of the camera in base_frame, as of the tracker; auto: from TF.'
+    )
+    autostart: bool = described(
+        True,
+        "Configure and activate at the start; else another node does, such as nav2's lifecycle "
+        'manager.',
     )
     nice: int = ranged(
         19, 0, 19, 'Niceness of the mapping thread on Linux; 19 gives way to all others.'

@@ -15,8 +15,10 @@ from ..config.navigation import GridConfig
 from ..kernels.jit import kernel
 from ..sensor import SensorNoise
 
-_STRIDE_PX = 640 / 4  # of the pixels that are looked at: so many across the image
-_MM = 1e-3  # unit of the points that are kept; 16 bits reach 32 m
+_ACROSS = 160  # pixels that are looked at across the image
+_MM = 1e-3  # unit of the points that are kept ...
+_FAR_M = 30.0  # ... in 16 bits, which reach 32 m
+_NEAR_M = 1.0  # that is looked at however rough depth is
 _SUPPORT = 0.35  # share of a voxel's side that points must cover to be more than outliers
 _NOISE = 0.5  # standard deviation of depth up to which it is used, in cells
 _BITS = 20  # of a voxel's index along an axis
@@ -53,7 +55,7 @@ class Scanner:
 
     def __init__(self, camera: PinholeCamera, sensor: SensorNoise, config: GridConfig) -> None:
         """Prepare the rays of every n-th pixel."""
-        self._stride = max(1, round(camera.width / _STRIDE_PX))
+        self._stride = max(1, round(camera.width / _ACROSS))
         self._camera, self._config = camera, config
         self._range_m = config.range_m or _range_m(sensor, _NOISE * config.resolution_m)
         self._box = config.box if config.box is not None else np.zeros((2, 3))
@@ -87,10 +89,11 @@ class Scanner:
 
 
 def _range_m(sensor: SensorNoise, sigma_m: float) -> float:
-    """Return the distance at which depth has a standard deviation, or its range ends, metres."""
-    if sensor.b_per_m * sensor.depth_max_m**2 + sensor.a_m <= sigma_m:
-        return sensor.depth_max_m
-    return math.sqrt(max(sigma_m - sensor.a_m, 0.0) / sensor.b_per_m)
+    """Return the distance up to which depth has no larger standard deviation, metres."""
+    reach_m = math.inf
+    if sensor.b_per_m > 0.0:
+        reach_m = math.sqrt(max(sigma_m - sensor.a_m, 0.0) / sensor.b_per_m)
+    return min(max(reach_m, _NEAR_M), sensor.depth_max_m, _FAR_M)
 
 
 @kernel

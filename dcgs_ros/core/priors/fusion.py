@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,11 +18,60 @@ from .planar import FloorPrior
 from .readings import MotionFactor
 
 _LIKELY_SIGMAS = 6.0  # of a hand: what is beyond, no robot does either
-# Shares of the limits: held by the images below the first, not at all above the second.
+# Shares of the limits: held by the images below the first, hardly above the second.
 _HELD, _UNHELD = 1.0 / 6.0, 0.5
 _OPEN = 30.0  # times the limits: sensors may know as little of what images leave open
-_LEAST_TRUST = 1e-2  # in the images where they hold nothing: of the information they claim
+_LEAST_TRUST = 0.1  # in the images where they hold nothing: a hundred times their sigma then
+_AGREEING_CHI2 = 25.0  # of six numbers: one in three thousand is beyond by chance
 _STEPS = 4  # of Gauss-Newton: the factors are nearly linear in so small a motion
+
+
+@dataclass(frozen=True)
+class ImagePose:
+    """A pose by images alone."""
+
+    T_world_cam: NDArray[np.float64]  # (4, 4)
+    covariance: NDArray[np.float64]  # (6, 6) in the map around the camera, honestly
+    limits: tuple[float, float]  # metres and radians at which a pose is degenerate
+
+    @property
+    def believed(self) -> NDArray[np.float64]:
+        """(6, 6) covariance that grows beyond what is claimed, the worse the images hold the pose.
+
+        Along a bare wall the images do not say nothing: they say that the camera moved less than
+        it did, in each frame again, and any average with that drifts.
+        """
+        scale = np.repeat([1.0 / self.limits[0], 1.0 / self.limits[1]], 3)
+        variances, axes = np.linalg.eigh(self.covariance * np.outer(scale, scale))
+        sigmas = np.clip(np.sqrt(np.maximum(variances, 0.0)), 1e-6, _OPEN)
+        weakness = np.clip((sigmas - _HELD) / (_UNHELD - _HELD), 0.0, 1.0)
+        sigmas /= np.maximum(1.0 - weakness, _LEAST_TRUST) ** 2
+        half = axes * sigmas / scale[:, None]
+        return np.asarray(half @ half.T)
+
+
+@dataclass(frozen=True)
+class Way:
+    """How the camera moved since the last pose by all sensors together."""
+
+    T_before_now: NDArray[np.float64]  # (4, 4)
+    covariance: NDArray[np.float64]  # (6, 6) of the pose after it, in the map around the camera
+
+    @classmethod
+    def of(cls, factors: Sequence[MotionFactor], before: NDArray[np.float64]) -> Way:
+        """Return the way by factors that together tell all of it, from a covariance (6, 6)."""
+        T = factors[-1].T_before_now
+        H = np.sum([factor.information for factor in factors], axis=0)
+        for _ in range(_STEPS):
+            g = [f.information @ se3.log(se3.inverse(T) @ f.T_before_now) for f in factors]
+            T = T @ se3.exp(np.linalg.solve(H, np.sum(g, axis=0)))
+        shares = [np.linalg.solve(H, factor.information) for factor in factors]
+        noise, drift = (
+            np.sum([S @ part @ S.T for S, part in zip(shares, parts, strict=True)], axis=0)
+            for parts in ([f.noise for f in factors], [f.drift for f in factors])
+        )
+        Ad = se3.adjoint(se3.inverse(T))
+        return cls(T, MotionFactor(T, noise, drift).added_to(Ad @ before @ Ad.T))
 
 
 @dataclass(frozen=True)
@@ -32,7 +82,7 @@ class Sensed:
     turn: Turn | None = None
     floor: FloorPrior | None = None
     T_base_cam: NDArray[np.float64] | None = None  # (4, 4), where wheels carry the camera
-    tells_way: bool = False  # whether the wheels tell how far it went
+    way: Way | None = None  # where wheels tell how far it went
     up: UpPrior | None = None
 
     @property
@@ -58,29 +108,29 @@ class Sensed:
         sensed = np.asarray(self._system(T, placed).H, np.float64)
         return replace(hand, T_world_cam=se3.orthonormalised(T), sensed=sensed)
 
-    def carried(
+    def with_images(
         self,
-        T_by_images: NDArray[np.float64],  # (4, 4)
-        covariance: NDArray[np.float64],  # (6, 6) of that, honestly
+        images: ImagePose,
         T_last: NDArray[np.float64],  # (4, 4)
-        limits: tuple[float, float],  # metres and radians at which a pose is degenerate
-    ) -> NDArray[np.float64]:
-        """Return the pose, which goes on as the sensors tell along what the images hardly hold.
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the pose (4, 4) by images and sensors together, and its covariance (6, 6).
 
-        An average would not do: along a bare wall the images do not say nothing, they say that the
-        camera moved less than it did, in each frame again. They are believed wholly along the axes
-        that they hold to a sixth of the limits, and not at all where it is less than half of them.
+        It is the step of a Kalman filter of the pose in the map around the camera.
         """
-        scale = np.repeat([1.0 / limits[0], 1.0 / limits[1]], 3)
-        variances, axes = np.linalg.eigh(covariance * np.outer(scale, scale))
-        sigmas = np.clip(np.sqrt(np.maximum(variances, 0.0)), 1e-6, _OPEN)
-        weakness = np.clip((sigmas - _HELD) / (_UNHELD - _HELD), 1e-6, 1.0)
-        trust = (1.0 - weakness) / weakness + _LEAST_TRUST
-        scaled = axes * scale[:, None]
-        images = (scaled * (trust / sigmas**2)) @ scaled.T
-        placed = [(T_last @ f.T_before_now, f.information) for f in self.factors]
-        sensors = self._system(T_by_images, placed)
-        return np.asarray(T_by_images @ se3.exp(np.linalg.solve(images + sensors.H, sensors.g)))
+        assert self.way is not None
+        T, predicted = images.T_world_cam, self.way.covariance
+        innovation = se3.log(se3.inverse(T) @ T_last @ self.way.T_before_now)
+        seen = images.believed
+        chi2 = float(innovation @ np.linalg.solve(predicted + seen, innovation))
+        if chi2 > _AGREEING_CHI2:  # wheels that spin, a base that is lifted
+            predicted = predicted * chi2
+        by_sensors = np.linalg.inv(predicted)
+        H, g = np.linalg.inv(seen) + by_sensors, by_sensors @ innovation
+        covariance = np.linalg.inv(H)
+        if self.floor is not None:
+            on_floor = self.floor.normal_equations(T)
+            H, g = H + on_floor.H, g + on_floor.g
+        return np.asarray(T @ se3.exp(np.linalg.solve(H, g))), covariance
 
     def _system(
         self,

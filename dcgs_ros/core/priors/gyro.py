@@ -26,7 +26,7 @@ from .readings import UNKNOWN, AngularRate, MotionFactor, Timeline
 _HOLD_NS = 25_000_000  # that the last rate stands for, on either side of what was measured
 _GAP_NS = 100_000_000  # between two readings: what the camera did meanwhile is not known
 _DENSITY = 1e-3  # rad/s per sqrt(Hz), at least: four times the data sheet of a D435i's gyro
-_BIAS, _WALK = 0.05, 5e-4  # rad/s, and per sqrt(s): standard deviations
+_BIAS, _WALK = 0.05, 1e-4  # rad/s, and per sqrt(s): standard deviations
 _DELAY_S, _DELAY_WALK_S = 0.01, 1e-4  # of the gyro's clock, and per sqrt(s)
 _MOST_DELAY_S = 0.04
 _SCALE = 0.01  # error of a turn that is left after calibration, as a share

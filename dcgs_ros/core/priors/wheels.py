@@ -22,10 +22,11 @@ from .readings import BasePose, MotionFactor, Timeline
 _HOLD_NS = 60_000_000  # that the last pose may be old: three intervals at 50 Hz
 _GAP_NS = 500_000_000  # between two poses: slip and turns in it are not known
 _SCALES = np.array([0.05, 0.1])  # of distances and of turns, before they are estimated
-_SCALE_WALK = 0.005  # per sqrt(m) or sqrt(rad): standard deviation
+_SCALE_WALK = 0.002  # per sqrt(m) or sqrt(rad): standard deviation
 _SLIP = np.array([0.02, 0.02, 0.03])  # forward and sideways a metre, turn a radian; unforeseen
+_BEND = 2e-3  # rad a metre: wheels that differ by one in a thousand
 _SIDEWAYS_PER_RAD = 0.005  # metres: a base that turns about a point that is not quite its origin
-_FLOOR = np.array([3e-4, 3e-4, 5e-4])  # m, m, rad: play, vibration, resolution of the encoders
+_FLOOR = np.array([1e-4, 1e-4, 1e-4])  # m, m, rad: play, vibration, resolution of the encoders
 # z, roll and pitch of a base (m, rad, rad): steps of tiles, thresholds, the foot of a ramp of 5
 # degrees within half a metre; and vibration, however short the way.
 _UNEVEN = np.array([0.01, 0.03, 0.03])  # per sqrt(m)
@@ -119,7 +120,7 @@ class Wheels:
         """Return what may be lost unforeseen (3,) of a motion (6,): forward, sideways, turn."""
         x, y, turn = np.abs(twist[_PLANE])
         way = math.hypot(x, y)
-        return _SLIP * (way, way, turn) + (0.0, _SIDEWAYS_PER_RAD * turn, 0.0)
+        return _SLIP * (way, way, turn) + (0.0, _SIDEWAYS_PER_RAD * turn, _BEND * way)
 
     def learn(
         self, start_ns: int, end_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64]

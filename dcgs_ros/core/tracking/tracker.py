@@ -18,6 +18,7 @@ from ..errors import FrameError
 from ..frame import RgbdFrame
 from ..kernels import jit
 from ..keyframe import Correction, Keyframe, MapUpdate, Odometry
+from ..priors.fusion import ImagePose
 from ..priors.motion_priors import MotionPriors
 from ..priors.readings import Reading
 from ..self_mask import without_robot
@@ -130,7 +131,11 @@ class Tracker:
         )  # fmt: skip
         if evidence.contradicts:
             return self._sought(frame, self._lose(), guesses)
-        found, last = self._carried_where_weak(found, uncertainty), self._memory.last
+        images, last = self._by_images(found, uncertainty), self._memory.last
+        if self._memory.sensed is not None:
+            found = found.moved_to(
+                self.priors.with_images(self._memory.sensed, images, self.T_world_cam)
+            )
         self._accept(found, evidence)
         claim = self._claim(found, uncertainty)
         sure = not self._unconfirmed and not evidence.doubtful
@@ -143,7 +148,7 @@ class Tracker:
             self._memory = self._map.with_landmarks(self._memory, found.registered)
         result = self._result(found, uncertainty, claim, keyframe)
         if sure and result.state is TrackingState.OK:
-            self.priors.learn(frame.stamp_ns, result.T_world_cam, result.covariance)
+            self.priors.learn(frame.stamp_ns, images)
         else:
             self.priors.forget()
         return result
@@ -509,16 +514,13 @@ class Tracker:
             self._reference(self.T_world_cam), carried=carried,
         )  # fmt: skip
 
-    def _carried_where_weak(self, found: Estimate, uncertainty: PoseUncertainty) -> Estimate:
-        """Return an estimate that goes on as other sensors tell where the frame says little."""
-        sensed, limits = self._memory.sensed, self._config.registration
-        if sensed is None or not sensed.tells_way:
-            return found
-        T = sensed.carried(
+    def _by_images(self, found: Estimate, uncertainty: PoseUncertainty) -> ImagePose:
+        """Return a pose as other sensors may believe it."""
+        limits = self._config.registration
+        return ImagePose(
             found.registered.T_world_cam, self._claims.measured(uncertainty, self._clocks),
-            self.T_world_cam, (limits.degenerate_m, limits.degenerate_rad),
+            (limits.degenerate_m, limits.degenerate_rad),
         )  # fmt: skip
-        return found.moved_to(T)
 
     def _carries(self, stamp_ns: int) -> bool:
         """Move the last pose on by what other sensors tell, as long as that is worth something."""

@@ -128,7 +128,9 @@ class SyntheticSource:
 
     def scene_at(self, stamp_ns: int) -> Scene:
         """Return all that the camera sees at a time."""
-        there = self._mover and self._mover.at((stamp_ns - _START_NS) * 1e-9)
+        if self._mover is None:
+            return self.scene
+        there = self._mover.at((stamp_ns - _START_NS) * 1e-9)
         return self.scene if there is None else self.scene.beside(there)
 
     @property

@@ -178,6 +178,18 @@ def test_ray_clears_up_to_where_its_end_may_be() -> None:
     assert value(grid.map, 1.9, 0.01) == FREE
 
 
+@pytest.mark.parametrize(
+    'sensor', [SensorNoise(a_m=0.1, b_per_m=0.0), SensorNoise(depth_max_m=1e3)]
+)
+def test_range_of_any_sensor_is_usable(sensor: SensorNoise) -> None:
+    """One that is rough at once, and one without an end."""
+    grid = OccupancyMapper(CAMERA, sensor, GridConfig(resolution_m=0.2, max_height_m=0.7))
+    near: Box = ((0.8, -3.0, 0.0), (1.0, 3.0, 2.5))
+    grid.insert(depth_of(HERE, near), HERE)
+    assert value(grid.map, 0.85, 0.1) == OCCUPIED
+    assert (grid.map.cells[:, round(-grid.map.origin_m[0] / 0.2) + 6 :] == UNKNOWN).all()
+
+
 def test_the_robot_itself_is_no_obstacle() -> None:
     """What is within its box, which moves with the base, is not used."""
     T_base_cam = camera_at(0.1, 0.0, 0.6)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
-from dcgs_ros.core.priors.fusion import Sensed, is_likely
+from dcgs_ros.core.priors.fusion import ImagePose, Sensed, Way, is_likely
 from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.readings import UNKNOWN, AngularRate, MotionFactor
 from dcgs_ros.core.tracking.factors import PosePrior
@@ -76,29 +76,49 @@ def test_a_camera_beside_the_axis_of_a_turn_goes_round_it(seconds: float) -> Non
 LIMITS = 0.03, 0.045
 
 
-def images(sigma_x_m: float) -> NDArray[np.float64]:
-    return np.diag([sigma_x_m**2, *[1e-6] * 5])
+def images(metres: float, sigma_x_m: float) -> ImagePose:
+    """Return the pose of a camera that the images say has moved along x and by 3 mm along y."""
+    T = T_LAST @ se3.exp(np.array([metres, 0.003, 0, 0, 0, 0]))
+    return ImagePose(T, np.diag([sigma_x_m**2, *[1e-6] * 5]), LIMITS)
 
 
-def carried_m(sigma_x_m: float, factor: MotionFactor) -> NDArray[np.float64]:
-    """Return the translation (3,) of a camera that the images say has moved by (2, 3, 0) mm."""
-    T_by_images = T_LAST @ se3.exp(np.array([0.002, 0.003, 0, 0, 0, 0]))
-    T = Sensed((factor,)).carried(T_by_images, images(sigma_x_m), T_LAST, LIMITS)
+def fused_m(
+    sensed_m: float, seen_m: float, sigma_x_m: float, before: float = 1e-8
+) -> NDArray[np.float64]:
+    """Return the translation (3,) by wheels and images, from a pose of variance `before`."""
+    way = Way.of((along_x(sensed_m, 0.001),), before * np.eye(6))
+    T, _ = Sensed(way=way).with_images(images(seen_m, sigma_x_m), T_LAST)
     return (se3.inverse(T_LAST) @ T)[:3, 3]
 
 
 def test_sensors_carry_the_pose_along_what_the_images_do_not_hold() -> None:
-    np.testing.assert_allclose(carried_m(0.02, along_x(0.01, 0.001)), [0.01, 0.003, 0], atol=2e-4)
+    np.testing.assert_allclose(fused_m(0.01, 0.002, 0.02), [0.01, 0.003, 0], atol=2e-4)
 
 
-def test_images_that_hold_the_pose_are_believed() -> None:
-    np.testing.assert_allclose(
-        carried_m(0.002, along_x(0.01, 0.001)), [0.002, 0.003, 0], atol=1e-5
-    )
+def test_images_are_believed_where_the_last_pose_is_not_known() -> None:
+    np.testing.assert_allclose(fused_m(0.01, 0.002, 0.002, 1e-4), [0.002, 0.003, 0], atol=5e-4)
 
 
-def test_sensors_that_know_no_more_carry_nothing() -> None:
-    np.testing.assert_allclose(carried_m(0.02, along_x(0.01, 10.0)), [0.002, 0.003, 0], atol=1e-4)
+def test_sensors_that_contradict_are_not_averaged_with() -> None:
+    assert fused_m(0.01, 0.002, 0.002)[0] > 0.004
+    assert fused_m(0.06, 0.002, 0.002)[0] < 0.003
+
+
+def test_images_that_hold_a_pose_badly_are_believed_less_than_they_claim() -> None:
+    sigmas = [np.sqrt(images(0.0, sigma_m).believed[0, 0]) for sigma_m in (0.003, 0.02)]
+    assert sigmas[0] == pytest.approx(0.003)
+    assert sigmas[1] > 0.5
+
+
+def test_sensors_that_are_off_a_little_in_each_frame_do_not_drift_from_the_images() -> None:
+    T, covariance, step = np.eye(4), 1e-6 * np.eye(6), np.array([0.011, 0, 0, 0, 0, 0])
+    whole = MotionFactor(se3.exp(step), 1e-6 * np.eye(6), np.zeros((6, 6)))
+    for k in range(1, 300):
+        seen = se3.exp(np.array([0.01 * k, 0, 0, 0, 0, 0]))
+        sensed = Sensed(way=Way.of((whole,), covariance))
+        believed = ImagePose(seen, np.diag([0.004**2] * 3 + [1e-4] * 3), LIMITS)
+        T, covariance = sensed.with_images(believed, T)
+    assert 0.0 < T[0, 3] - 0.01 * k < 0.004
 
 
 def test_a_base_that_turns_carries_its_camera_round_and_rolls_on() -> None:

@@ -16,7 +16,7 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
 from dcgs_ros.core.frame import RgbdFrame
-from dcgs_ros.core.priors.fusion import Sensed
+from dcgs_ros.core.priors.fusion import ImagePose, Sensed
 from dcgs_ros.core.priors.gravity import UpPrior
 from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.motion_priors import MotionPriors, PriorsError
@@ -207,6 +207,21 @@ def test_wheels_that_jump_are_not_believed(metres: float, believed: bool) -> Non
     T[0, 3] = metres
     priors.sense(BasePose(FRAME_NS, T))
     assert (priors.since(motion, FRAME_NS) is not None) == believed
+
+
+@pytest.mark.parametrize(('sigma_m', 'learned'), [(0.002, 0.05), (0.02, 0.0)])
+def test_images_teach_a_scale_only_where_they_hold_the_way(sigma_m: float, learned: float) -> None:
+    priors = priors_of(SOURCE, override(Config().priors, {'wheels': True}))
+    ahead, covariance = np.eye(4), np.diag([sigma_m**2] * 3 + [1e-6] * 3)
+    for k in range(181):  # 0.5 m/s, of which the wheels tell 5 % too much
+        ahead[0, 3] = 1.05 * 0.5 * k / 30
+        priors.sense(BasePose(k * FRAME_NS, ahead.copy()))
+        seen = np.eye(4)
+        seen[0, 3] = 0.5 * k / 30
+        T = se3.inverse(T_BASE_CAM) @ seen @ T_BASE_CAM
+        priors.learn(k * FRAME_NS, ImagePose(T, covariance, (0.015, 0.022)))
+    assert priors.wheels is not None
+    assert priors.wheels.scales[0] == pytest.approx(learned, abs=0.005)
 
 
 def test_the_gyro_tells_how_fast_the_camera_turns_on_arrival() -> None:

@@ -72,7 +72,7 @@ class RoutePath:
         self._gait, self._speed = gait, speed
         mast = np.array([[0.0, 0.0, gait.height_m, 0.0, gait.pitch_deg, 0.0]]).T
         self.T_base_cam: NDArray[np.float64] | None = None if gait.sway_deg else poses_of(mast)[0]
-        self._shake = _Shake(gait, seed)
+        self._shake = Shake(gait, seed)
 
     def poses(self, times_s: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return T_world_cam (N, 4, 4) at times (N,), x right, y down, z forward; world z up."""
@@ -95,7 +95,7 @@ class RoutePath:
         return np.asarray(times_s, np.float64) * self._speed
 
 
-class _Shake:
+class Shake:
     """Five sines a channel, drawn with a seed."""
 
     def __init__(self, gait: Gait, seed: int) -> None:

@@ -35,7 +35,9 @@ SCENES = {
     'zigzag': SceneKind(zigzag),
     'desk': SceneKind(desk, sensor='d435i_measured'),
     'corridor': SceneKind(corridor, _WHEELS_FIRST, 'd435i_measured'),
-    'ring': SceneKind(ring, _WHEELS_FIRST, 'd435i_measured', {'period': 0.0, 'direction': 'ccw'}),
+    'ring': SceneKind(
+        ring, (*_WHEELS_FIRST, 'errand'), 'd435i_measured', {'period': 0.0, 'direction': 'ccw'}
+    ),
 }
 SCENE_NAMES = tuple(SCENES)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..motion.errand import Errand
 from ..motion.route import GAITS, Route
 from .builder import SceneBuilder, add_clutter, add_desk, add_monitor
 from .corridor import add_door
@@ -48,7 +49,8 @@ def ring(rng: np.random.Generator, motion: str, period: float, direction: str) -
     if direction == 'cw':
         corners = (corners[0], *reversed(corners[1:]))
     scene = build.build((0.0, -5.0, 2.4), 0.75)
-    return Scenario(scene, Route(corners, GAITS[motion]), pattern=16.0)
+    errand = motion == 'errand'
+    return Scenario(scene, Errand(corners) if errand else Route(corners, GAITS[motion]), 16.0)
 
 
 def _add_floor(build: SceneBuilder, rng: np.random.Generator, period: float) -> None:

@@ -571,10 +571,7 @@ class Tracker:
                 T_world_depth, frame.depth_m, self.camera, config.sensor
             )
             self._usual = self._usual.with_keyframe(agreement)
-        odometry = self._visited.odometry(
-            T, claim.submap, claim.covariance, claim.hosts, self._host,
-            config.registration.guess_radius_m,
-        )  # fmt: skip
+        odometry = self._visited.odometry(T, claim.submap, claim.covariance, claim.hosts)
         keyframe = self._host = odometry.keyframe
         self.gaussians.refresh(T, frame.depth_m, self.camera, config.sensor, keyframe)
         cloud = candidates(registered, last, self.camera, config)
@@ -659,6 +656,8 @@ class Tracker:
         sensed = () if self._memory.sensed is None else self._memory.sensed.factors
         covariance = self._claims.advance(T, stamp_ns, uncertainty, self._clocks, sensed)
         hosts = hosts_of(found.registration, uncertainty.rows, covariance, self._host)
+        reach_m = self._config.registration.guess_radius_m
+        hosts = self._visited.within_reach(T, hosts, self._host, reach_m)
         in_world = self._visited.in_world(T, hosts)
         return Claim(covariance, in_world, hosts, self._visited.submaps[self._host])
 

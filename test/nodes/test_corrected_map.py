@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
+from geometry_msgs.msg import Point, Pose, TransformStamped
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import PointCloud2
 
@@ -23,20 +25,25 @@ from dcgs_ros.core import se3
 from dcgs_ros.core.camera import PinholeCamera
 from dcgs_ros.core.config.schema import override
 from dcgs_ros.core.config.stages import Config
+from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Correction, Keyframe
+from dcgs_ros.core.tracking.result import TrackingState
 from dcgs_ros.datasets.synthetic.source import SyntheticSource
 from dcgs_ros.nodes import mapper, tracker
 from dcgs_ros.nodes.mapper import MapperNode
 from dcgs_ros.nodes.messages.clouds import MAP_GAUSSIAN, read_cloud
 from dcgs_ros.nodes.messages.ids import first_epoch
+from dcgs_ros.nodes.messages.odometry import CameraToBase
 from dcgs_ros.nodes.messages.packet import KeyframePacket
+from dcgs_ros.nodes.messages.poses import matrix
 from dcgs_ros.nodes.tracker import TrackerNode
-from dcgs_ros.nodes.tracking import back_end
+from dcgs_ros.nodes.tracking import back_end, back_end_worker
 from dcgs_ros.nodes.tracking.back_end_worker import BackEndWorker
 from dcgs_ros.nodes.tracking.keyframe_publisher import KeyframePublisher
 from dcgs_ros.nodes.transport import latched
 
 HANGS_S = 60.0  # only a failure takes so long
+PATIENCE_S = 600.0  # likewise, with much to be done
 FRAMES = 12
 SOURCE = SyntheticSource.from_address(f'synthetic:room?frames={FRAMES}&sensor=ideal')
 CAMERA = PinholeCamera(
@@ -49,6 +56,13 @@ EAGER = {
 }  # fmt: skip
 BEND = np.array([0.02, 0.01, 0.0, 0.0, 0.01, 0.0])  # a keyframe, of what the correction moves
 AT = 5  # keyframes that the back end corrects
+# A robot that turns on the spot: it sees one half of a room, after a jump the other half, which
+# begins a sub-map, and then the first again.
+TURNING = 'synthetic:room?motion=turning&frames=500&sensor=ideal&speed=0.35'
+FIRST, OTHER, AGAIN = range(86, 207), range(350, 493), range(80, 192)
+STEP_NS = 33_333_333
+CONTINUOUS_M, CONTINUOUS_RAD = 0.03, 0.08  # from frame to frame; it turns with 1 rad/s
+NEAR_M = 0.06  # of the truth, after a turn and a half; without the loop a kilometre
 
 
 class Scripted:
@@ -90,6 +104,7 @@ class Robot:
         self.packets: list[KeyframePacket] = []
         self.publisher = KeyframePublisher(eye, eye._outputs.world)
         self.frames = iter(SOURCE)
+        self.stamp_ns = 10**9
 
     def correct(self, brain: Any) -> None:
         """Have the back end correct, and wait until a mapper has it."""
@@ -121,8 +136,27 @@ class Robot:
             self.publisher.send(packet)
             self.spin(lambda stamp=packet.stamp_ns: stamp in brain._session.stamps)  # type: ignore[misc]
 
-    def spin(self, condition: Callable[[], Any]) -> None:
-        end = time.monotonic() + HANGS_S
+    def drive(self, indices: Iterable[int], brain: Any) -> None:
+        """Track frames of `TURNING` as the node does, and have the mapper take what it gets."""
+        outputs, session = self.eye._outputs, self.eye._session
+        source = SyntheticSource.from_address(TURNING)
+        for index in indices:
+            whole, self.stamp_ns = source.render(index), self.stamp_ns + STEP_NS
+            color, depth_m = whole.color[::2, ::2].copy(), whole.depth_m[::2, ::2].copy()
+            frame = RgbdFrame(self.stamp_ns, self.stamp_ns, color, depth_m)
+            result = session.track(frame, CAMERA)
+            if result.state is TrackingState.LOST:
+                outputs.lose()
+            else:
+                outputs.publish(result, CameraToBase(np.eye(4)))
+            packets = session.packets(frame, result, 'optical')
+            self.packets += packets
+            self.send(packets, brain)
+            self.spin(lambda: session._loops.figures()['keyframes_unchecked'] == 0, PATIENCE_S)
+            self.eye._camera.queue.take(0.0)
+
+    def spin(self, condition: Callable[[], Any], patience_s: float = HANGS_S) -> None:
+        end = time.monotonic() + patience_s
         while not condition():
             assert time.monotonic() < end
             self.executor.spin_once(timeout_sec=0.01)
@@ -157,17 +191,30 @@ def assert_one_world(robot: Robot, brain: Any) -> None:
 
 
 @pytest.fixture
+def home(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
+    """Return a robot whose back end finds loops, and gives way to nobody."""
+    monkeypatch.setattr(back_end_worker, 'give_way', lambda: None)
+    yield from running(monkeypatch, {'keyframes.new_submap_s': 0.3}, threading.Event())
+
+
+@pytest.fixture
 def robot(ros: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
-    idle = SimpleNamespace(join=lambda: None, leave=lambda: None)
-    for module in (tracker, mapper):
-        monkeypatch.setattr(module, 'Worker', lambda node, work, name: idle)
     go = threading.Event()
     monkeypatch.setattr(
         tracker, 'make_loops',
         lambda config, take, warn: BackEndWorker(lambda *_: Scripted(go), take, warn),
     )  # fmt: skip
+    yield from running(monkeypatch, EAGER, go)
+
+
+def running(
+    monkeypatch: pytest.MonkeyPatch, settings: Mapping[str, Any], go: threading.Event
+) -> Iterator[Robot]:
+    idle = SimpleNamespace(join=lambda: None, leave=lambda: None)
+    for module in (tracker, mapper):
+        monkeypatch.setattr(module, 'Worker', lambda node, work, name: idle)
     made = Robot(TrackerNode(), go)
-    made.eye._session.config = override(Config(sensor=SOURCE.sensor), EAGER)
+    made.eye._session.config = override(Config(sensor=SOURCE.sensor), settings)
     yield made
     go.set()
     for node in (made.eye, *made.mappers):
@@ -218,6 +265,48 @@ def test_a_correction_moves_the_mappers_map_once_and_late_joiners_have_it_too(
     late._session.reset()
     robot.send(robot.packets, late)
     assert_one_world(robot, late)
+
+
+@pytest.mark.slow
+def test_a_loop_moves_the_map_and_map_to_odom_but_not_odom_to_base(home: Robot) -> None:
+    brain, sent = home.mapper(), list[TransformStamped]()
+    home.eye._outputs._transforms = SimpleNamespace(send=sent.append)
+    home.drive((*FIRST, *OTHER), brain)
+    session, mapping = home.eye._session, brain._session.mapper
+    assert len(set(session.tracker.keyframe_submaps.tolist())) == 2 and not home.kept
+    apart = mapping.table.splats.means[0].max()
+    before, seen = len(sent), len(home.packets)
+    home.drive(AGAIN[:-5], brain)
+    home.spin(lambda: bool(home.kept) and mapping.revision >= 1, PATIENCE_S)
+    home.drive(AGAIN[-5:], brain)
+    assert not session.tracker.keyframe_submaps.any() and len(home.packets) > seen
+    assert home.kept[-1].revision >= 1 and session._loops.figures()['loops'] > 0
+
+    # The sub-map's Gaussians, a kilometre away, are in the room now.
+    assert apart > 900.0 and np.abs(mapping.table.splats.means).max() < 10.0
+    assert_one_world(home, brain)
+
+    # odom moves as the robot does, and has another place in the map.
+    odom = [matrix_of(one) for one in sent[before:] if one.child_frame_id == 'camera_link']
+    steps = [se3.log(se3.inverse(a) @ b) for a, b in pairwise(odom)]
+    assert max(np.linalg.norm(step[:3]) for step in steps) < CONTINUOUS_M
+    assert max(np.linalg.norm(step[3:]) for step in steps) < CONTINUOUS_RAD
+    places = [matrix_of(one) for one in sent if one.child_frame_id == 'odom']
+    assert np.linalg.norm(se3.log(se3.inverse(places[0]) @ places[-1])) > 0.1
+
+    # And it is where it is.
+    source = SyntheticSource.from_address(TURNING)
+    truth = source.groundtruth
+    assert truth is not None
+    first, last = (truth.T_world_cam[k] for k in (FIRST[0], AGAIN[-1]))
+    off = se3.log(se3.inverse(session.tracker.T_world_cam) @ se3.inverse(first) @ last)
+    assert np.linalg.norm(off[:3]) < NEAR_M
+
+
+def matrix_of(message: TransformStamped) -> NDArray[np.float64]:
+    where = message.transform
+    t = where.translation
+    return matrix(Pose(position=Point(x=t.x, y=t.y, z=t.z), orientation=where.rotation))
 
 
 def test_an_answer_from_before_the_correction_turns_no_normals(robot: Robot) -> None:

@@ -80,8 +80,10 @@ class GrowingMap:
         self, found: Estimate, uncertainty: PoseUncertainty, covariance: NDArray[np.float64]
     ) -> Claim:
         """Return how sure a registered pose is that has the `covariance` (6, 6) in the map."""
+        T, reach_m = found.registered.T_world_cam, self._config.registration.guess_radius_m
         hosts = hosts_of(found.registration, uncertainty.rows, covariance, self.host)
-        in_world = self.visited.in_world(found.registered.T_world_cam, hosts)
+        hosts = self.visited.within_reach(T, hosts, self.host, reach_m)
+        in_world = self.visited.in_world(T, hosts)
         return Claim(covariance, in_world, hosts, self.submap)
 
     def in_world(
@@ -115,10 +117,7 @@ class GrowingMap:
         the keyframe, the memory with its landmarks, and how well the frame agreed with the map.
         """
         config, frame, T = self._config, registered.frame, registered.T_world_cam
-        odometry = self.visited.odometry(
-            T, claim.submap, claim.covariance, claim.hosts, self.host,
-            config.registration.guess_radius_m,
-        )  # fmt: skip
+        odometry = self.visited.odometry(T, claim.submap, claim.covariance, claim.hosts)
         keyframe = self.host = odometry.keyframe
         agreement = self.gaussians.refresh(
             T @ registered.T_cam_cam_at_depth, frame.depth_m, self._camera, config.sensor,

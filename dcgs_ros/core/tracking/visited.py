@@ -79,23 +79,24 @@ class Visited:
         """Return the covariance (6, 6) in the world, as `KeyframeChain.in_world`."""
         return self._chain.in_world(T_world_cam, hosts)
 
+    def within_reach(
+        self, T_world_cam: NDArray[np.float64], hosts: Hosts, last: int, reach_m: float
+    ) -> Hosts:
+        """Return the hosts of a pose after keyframe `last` as `Hosts.within_reach`."""
+        if len(hosts.keyframes) < 2:
+            return hosts
+        theirs = self._chain.seen_from(T_world_cam, hosts.keyframes)
+        before = self._chain.seen_from(T_world_cam, np.array([last]))
+        return hosts.within_reach(theirs, before, reach_m)
+
     def odometry(
         self,
         T_world_cam: NDArray[np.float64],
         submap: int,
         covariance: NDArray[np.float64],
         hosts: Hosts,
-        last: int,
-        reach_m: float,
     ) -> Odometry:
-        """Return the next keyframe relative to its hosts; the `last` one is that before it.
-
-        See `Hosts.within_reach`.
-        """
-        if len(hosts.keyframes) > 1:
-            theirs = self._chain.seen_from(T_world_cam, hosts.keyframes)
-            before = self._chain.seen_from(T_world_cam, np.array([last]))
-            hosts = hosts.within_reach(theirs, before, reach_m)
+        """Return the next keyframe relative to its hosts."""
         T_host_cam = [se3.inverse(self.poses[k]) @ T_world_cam for k in hosts.keyframes]
         return Odometry(
             len(self), submap, hosts.keyframes, np.reshape(T_host_cam, (-1, 4, 4)),

@@ -233,7 +233,7 @@ def visited_of(submaps: list[int]) -> Visited:
     for k, submap in enumerate(submaps):
         T = se3.exp(np.array([0.1 * k, 0, 0, 0, 0, 0]))
         T[:3, 3] += origin(submap)
-        odometry = visited.odometry(T, submap, np.eye(6), Hosts.none(), 0, 1.0)
+        odometry = visited.odometry(T, submap, np.eye(6), Hosts.none())
         visited.add(k, T, odometry, 1e-4 * np.eye(6))
     return visited
 
@@ -242,12 +242,25 @@ def test_a_keyframe_knows_where_it_is_relative_to_its_hosts() -> None:
     visited = visited_of([0, 0, 0])
     T = se3.exp(np.array([0.4, 0.1, 0, 0, 0.2, 0]))
     hosts = Hosts(np.array([0, 2], np.int32), np.array([[[0.75]], [[0.25]]]) * np.eye(6))
-    found = visited.odometry(T, 0, np.eye(6), hosts, 2, 1.0)
+    found = visited.odometry(T, 0, np.eye(6), hosts)
     assert found.keyframe == 3 and found.hosts.tolist() == [0, 2]
     np.testing.assert_array_equal(found.information, hosts.information)
     np.testing.assert_allclose(visited.poses[2] @ found.T_host_cam[1], T, atol=1e-12)
-    alone = visited.odometry(T, 0, np.eye(6), Hosts.none(), 0, 1.0)
+    alone = visited.odometry(T, 0, np.eye(6), Hosts.none())
     assert alone.T_host_cam.shape == (0, 4, 4) and not len(alone.hosts)
+
+
+def test_beside_the_old_part_of_its_map_a_camera_is_not_sure_where_it_is() -> None:
+    """What it matches there says nothing, in the world either, until a loop tells."""
+    tracker, frames = tracker_for(), frames_of(ROOM)
+    for frame in frames[:12]:
+        tracker.track(frame)
+    assert tracker.keyframes >= 3
+    drifted = tracker._visited._chain.covariances.copy()
+    drifted[1:] = 0.04 * np.eye(6)
+    tracker._visited._chain._covariances = drifted
+    in_world = tracker.track(frames[12]).covariance_world
+    assert np.linalg.eigvalsh(in_world[:3, :3]).min() > 0.02
 
 
 def test_joined_sub_maps_have_one_number_and_later_keyframes_go_with_their_own() -> None:

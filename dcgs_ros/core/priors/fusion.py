@@ -127,10 +127,9 @@ class Sensed:
         by_sensors = np.linalg.inv(predicted)
         H, g = np.linalg.inv(seen) + by_sensors, by_sensors @ innovation
         covariance = np.linalg.inv(H)
-        if self.floor is not None:
-            on_floor = self.floor.normal_equations(T)
-            H, g = H + on_floor.H, g + on_floor.g
-        return np.asarray(T @ se3.exp(np.linalg.solve(H, g))), covariance
+        beside = self._system(T, [])  # of the same floor, the same up in each frame
+        xi = np.linalg.solve(H + beside.H, g + beside.g)
+        return np.asarray(T @ se3.exp(xi)), covariance
 
     def _system(
         self,

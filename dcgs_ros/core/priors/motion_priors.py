@@ -52,9 +52,9 @@ class MotionPriors:
         self.gravity: Gravity | None = None
         self.wheels: Wheels | None = None
         self._floor: FloorPrior | None = None
+        self._T_world_first: NDArray[np.float64] | None = None  # where the camera's map began
         self._known: tuple[int, ImagePose] | None = None  # stamp, and where the images are sure
         self._covariance = _HELD  # (6, 6) of the last pose, as images and sensors hold it
-        self._T_world_first: NDArray[np.float64] | None = None  # where the camera's map began
         self.mount(R_cam_imu, T_base_cam)
 
     def mount(
@@ -147,10 +147,10 @@ class MotionPriors:
         T, self._covariance = sensed.with_images(images, T_last)
         return T
 
-    def learn(self, stamp_ns: int, images: ImagePose) -> None:
-        """Compare with a pose that the images are sure of."""
+    def learn(self, stamp_ns: int, images: ImagePose, T_world_cam: NDArray[np.float64]) -> None:
+        """Compare with a pose that the images are sure of; with sensors it became (4, 4)."""
         if self.gravity is not None:
-            self.gravity.follow(stamp_ns, images.T_world_cam)
+            self.gravity.follow(stamp_ns, T_world_cam)
         start_ns, start = self._known or (stamp_ns, images)
         if not 0 < stamp_ns - start_ns <= _LONGEST_NS:
             self._known = stamp_ns, images

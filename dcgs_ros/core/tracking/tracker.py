@@ -148,7 +148,7 @@ class Tracker:
             self._memory = self._map.with_landmarks(self._memory, found.registered)
         result = self._result(found, uncertainty, claim, keyframe)
         if sure and result.state is TrackingState.OK:
-            self.priors.learn(frame.stamp_ns, images)
+            self.priors.learn(frame.stamp_ns, images, result.T_world_cam)
         else:
             self.priors.forget()
         return result

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dcgs_ros.core import se3
 from dcgs_ros.core.priors.fusion import ImagePose, Sensed, Way, is_likely
+from dcgs_ros.core.priors.gravity import UpPrior
 from dcgs_ros.core.priors.gyro import Gyro
 from dcgs_ros.core.priors.readings import UNKNOWN, AngularRate, MotionFactor
 from dcgs_ros.core.tracking.factors import PosePrior
@@ -102,6 +103,18 @@ def test_images_are_believed_where_the_last_pose_is_not_known() -> None:
 def test_sensors_that_contradict_are_not_averaged_with() -> None:
     assert fused_m(0.01, 0.002, 0.002)[0] > 0.004
     assert fused_m(0.06, 0.002, 0.002)[0] < 0.003
+
+
+def test_up_counts_beside_images_and_wheels() -> None:
+    up_world, seen = np.array([0.0, 0.0, 1.0]), images(0.002, 0.002).T_world_cam
+    off = se3.exp(np.array([0, 0, 0, 0.02, 0, 0]))[:3, :3]  # by how much the map is tilted
+    up_cam = off.T @ seen[:3, :3].T @ up_world
+    way = Way.of((along_x(0.002, 0.001),), 1e-6 * np.eye(6))
+    for up, shares in ((None, (0.0, 0.1)), (UpPrior(up_world, up_cam, 1e-4), (0.9, 1.0))):
+        T, _ = Sensed(way=way, up=up).with_images(images(0.002, 0.002), T_LAST)
+        moved = np.linalg.norm((T[:3, :3].T - seen[:3, :3].T) @ up_world)
+        whole = np.linalg.norm(up_cam - seen[:3, :3].T @ up_world)
+        assert shares[0] <= moved / whole < shares[1]
 
 
 def test_images_that_hold_a_pose_badly_are_believed_less_than_they_claim() -> None:

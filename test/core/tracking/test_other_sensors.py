@@ -219,7 +219,7 @@ def test_images_teach_a_scale_only_where_they_hold_the_way(sigma_m: float, learn
         seen = np.eye(4)
         seen[0, 3] = 0.5 * k / 30
         T = se3.inverse(T_BASE_CAM) @ seen @ T_BASE_CAM
-        priors.learn(k * FRAME_NS, ImagePose(T, covariance, (0.015, 0.022)))
+        priors.learn(k * FRAME_NS, ImagePose(T, covariance, (0.015, 0.022)), T)
     assert priors.wheels is not None
     assert priors.wheels.scales[0] == pytest.approx(learned, abs=0.005)
 

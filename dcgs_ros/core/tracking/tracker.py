@@ -74,6 +74,7 @@ class Tracker:
         self._first: RgbdFrame | None = None  # until the second frame tells its velocity
         self._stamp_ns: int | None = None  # of the last frame, lost or not
         self._received: RgbdFrame | None = None  # the last frame, lost or not
+        self._depth_came_again = False  # with it
         self._offset = ColorDepthOffset(self._config.timing)
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._T_uncorrected_world = np.eye(4)
@@ -344,10 +345,12 @@ class Tracker:
     def _with_depths_instant(self, frame: RgbdFrame) -> RgbdFrame:
         """Return the frame with the stamp of the last one's depth, where the image is that one.
 
-        Taken for new it would say that a camera that goes on stands still.
+        Taken for new it would say that a camera that goes on stands still. Where the image comes a
+        third time, the camera does stand still, before a sensor without noise.
         """
-        last = self._received
-        if last is None or not repeats_depth(frame, last):
+        last, again = self._received, self._depth_came_again
+        self._depth_came_again = last is not None and repeats_depth(frame, last)
+        if last is None or again or not self._depth_came_again:
             return frame
         if frame.stamp_ns - last.depth_stamp_ns > _MAX_LAG_S * 1e9:
             return frame

@@ -256,9 +256,9 @@ def test_beside_the_old_part_of_its_map_a_camera_is_not_sure_where_it_is() -> No
     for frame in frames[:12]:
         tracker.track(frame)
     assert tracker.keyframes >= 3
-    drifted = tracker._visited._chain.covariances.copy()
+    drifted = tracker.visited._chain.covariances.copy()
     drifted[1:] = 0.04 * np.eye(6)
-    tracker._visited._chain._covariances = drifted
+    tracker.visited._chain._covariances = drifted
     in_world = tracker.track(frames[12]).covariance_world
     assert np.linalg.eigvalsh(in_world[:3, :3]).min() > 0.02
 

@@ -342,4 +342,4 @@ def test_fields_are_those_that_rviz_and_pcl_know(clock: Clock) -> None:
     names = [field.name for field in cloud.fields]
     assert names[:5] == ['id', 'x', 'y', 'z', 'rgb']
     assert {'opacity', 'scale_2', 'rot_3', 'track_cov_zz', 'keyframe'} <= set(names)
-    assert cloud.header.frame_id == 'odom' and cloud.height == 1
+    assert cloud.header.frame_id == 'map' and cloud.height == 1

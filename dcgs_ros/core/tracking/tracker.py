@@ -30,6 +30,7 @@ from .hosting import Hosts, hosts_of
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
 from .motion import ColorDepthOffset, ConstantVelocity
+from .newcomers import Newcomers
 from .observability import observability
 from .registration import Registration
 from .relocalization import Recogniser
@@ -78,6 +79,7 @@ class Tracker:
         self._memory = self._forgotten(ConstantVelocity.at_rest(self._T_world_first))
         self._policy = KeyframePolicy(self._config.keyframes)
         self._visited = Visited()  # the keyframes
+        self._newcomers = Newcomers(camera)
         self._next_landmark = 0  # id
         self._T_uncorrected_world = np.eye(4)
         self._host = 0  # the keyframe that the camera is placed relative to
@@ -233,6 +235,7 @@ class Tracker:
         self.gaussians.move(motions)
         self._depth_bias.move(self._visited.poses)
         self._policy.move(here)
+        self._newcomers.move(here)
         self._held = [keyframe.moved(here) for keyframe in self._held]
         self._memory = self._memory.moved(motions, here)
         self._claims.move(here)
@@ -547,6 +550,7 @@ class Tracker:
             if not self._unconfirmed:
                 self._depth_bias.observe(found.registration)
             self._unconfirmed = max(self._unconfirmed - evidence.confirms, 0)
+            self._notice_changes(found.registered)
             if found.sees_depth(self._config):
                 self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration
@@ -563,6 +567,14 @@ class Tracker:
             result.overlap if found.sees_depth(self._config) else memory.overlap,
             memory.sensed,
         )  # fmt: skip
+
+    def _notice_changes(self, registered: RegisteredFrame) -> None:
+        """Remove from the map what is gone, where the last keyframe fits the map."""
+        due = self._newcomers.observe(registered, self.gaussians, self._config.sensor)
+        odometry = self._visited.odometries[-1]
+        if due and odometry is not None and not (self.localize_only or self._unconfirmed):
+            first = int(odometry.hosts.min(initial=odometry.keyframe))
+            self.gaussians.remove_gone(first)
 
     def _is_keyframe(self, found: Estimate) -> bool:
         turn_rad_s = float(np.linalg.norm(self._memory.motion.twist[3:]))
@@ -592,6 +604,8 @@ class Tracker:
         if last is not None:  # else there is no map yet to agree with
             self._usual = self._usual.with_keyframe(agreement)
         cloud = candidates(registered, last, self.camera, config)
+        points = se3.transform(T_world_depth, cloud.points)
+        cloud = cloud[~self._newcomers.among(points, config.sensor)]
         ids = spawn(
             cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, keyframe,
             self.camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
@@ -629,6 +643,7 @@ class Tracker:
             registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self.camera,
             self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
         )  # fmt: skip
+        new = new[~self._newcomers.among(new.targets.points, self._config.sensor)]
         new = replace(new, ids=self._next_landmark + np.arange(len(new)))
         self._next_landmark += len(new)
         landmarks = self.landmarks.joined(new)

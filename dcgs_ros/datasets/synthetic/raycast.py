@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,9 @@ class Scene:
     def beside(self, other: Scene) -> Scene:
         """Return it with the primitives of another scene, in its own light."""
         names = ('kinds', 'centres', 'halves', 'R_world_local', 'textures', 'mappings', 'tints')
-        both = {k: np.concatenate([getattr(self, k), getattr(other, k)]) for k in names}
+        both: dict[str, Any] = {
+            k: np.concatenate([getattr(self, k), getattr(other, k)]) for k in names
+        }
         return replace(self, **both)
 
 

@@ -21,6 +21,7 @@ from ..keyframe import PosedFrame
 from ..priors.fusion import Sensed
 from ..self_mask import covered, seen_beside
 from .cloud import FrameCloud, sample_cloud
+from .consensus import Corners, standing
 from .factors import PointFactors, PosePrior
 from .gaussian_map import GaussianMap
 from .landmarks import Landmarks
@@ -42,6 +43,7 @@ class RegisteredFrame(PosedFrame):
     grey: NDArray[np.uint8]  # (H, W)
     twist: NDArray[np.float64]  # (6,) per second, camera frame, at colour's instant
     twist_at_depth: NDArray[np.float64]  # (6,) the same at depth's
+    corners: Corners = field(default_factory=Corners.none)
 
 
 @dataclass(frozen=True)
@@ -174,12 +176,20 @@ def estimate(
     # The landmarks alone give a start, where there are enough, and the motion within the frame.
     known = not fresh and len(landmarks) >= config.landmarks.min_factors
     start = _start(frame, memory, expected, prior, image, config, known)
-    if image is not None and config.sensor.color_readout_ms > 0.0:
-        measured = image = _measured(landmarks, frame, start.arrival, camera, config)
+    # What moves by itself is left out, of landmarks and of depth.
+    seen = Corners.none()
+    if image is not None:
+        T, stands = standing(start.arrival.T_world_cam, prior, image)
+        start = replace(start, arrival=memory.arrival(frame, T))
+        if config.sensor.color_readout_ms > 0.0:
+            measured = _measured(landmarks, frame, start.arrival, camera, config)
+            image = measured or image
+        seen = Corners(image.points, ~stands)
+        image = image[stands]
 
     # III-B, III-C and III-E: the depth residual, and joint Levenberg-Marquardt with the landmarks.
     def registered_from(start: _Start, image: PointFactors | None) -> Registration:
-        depth = _depth_term(frame, gaussians, camera, config, start)
+        depth = _depth_term(frame, gaussians, camera, config, start, seen)
         moved = None if config.shares_covariance else prior  # a metric term among others
         T = start.arrival.T_world_cam
         return register(T, depth, image, config, start.search_m, moved)
@@ -195,7 +205,7 @@ def estimate(
     there = memory.arrival(frame, found.T_world_cam)
     registered = RegisteredFrame(
         frame, there.T_world_cam, there.T_cam_cam_at_depth, grey, there.twist,
-        there.twist_at_depth,
+        there.twist_at_depth, seen,
     )  # fmt: skip
     # Images are verified against a hand's motion alone: a sensor that errs must not lose them.
     hand = prior if memory.sensed is None else memory.motion.prior(frame.stamp_ns)
@@ -272,13 +282,14 @@ def _depth_term(
     camera: PinholeCamera,
     config: Config,
     start: _Start,
+    corners: Corners,
 ) -> DepthTerm:
     """Sample a_i, n_i and D_i at colour's instant, as the start says that the camera moves."""
     there = start.arrival
     cloud = sample(frame, camera, config, config.cloud.stride_px, there.twist_at_depth).moved(
         there.T_cam_cam_at_depth
     )
-    return DepthTerm(cloud, gaussians, camera.focal, config, start.Q)
+    return DepthTerm(corners.standing(cloud), gaussians, camera.focal, config, start.Q)
 
 
 @dataclass(frozen=True)

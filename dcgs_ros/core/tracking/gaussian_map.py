@@ -19,7 +19,10 @@ from ..sensor import SensorNoise
 
 _IN_VIEW_SIGMAS = 4.0  # a Gaussian is seen if the measured depth agrees within this many sigma_z
 _IN_VIEW_FLOOR_M = 0.01  # ... plus this
-_AGREES, _LOOKED_THROUGH = 1, 2  # verdict of a depth image on a Gaussian in view; 0: none
+# Verdict of a depth image on a point in view; 0: none.
+AGREES, _LOOKED_THROUGH, EMPTY = 1, 2, 3  # the last: so all around it, and by far
+_EMPTY_M, _BESIDE_PX = 0.1, 3  # of depth behind it, besides the noise; so far around it
+_EMPTIED = 3  # images that must see an empty place, so that what was there is gone
 
 
 Scalar = TypeVar('Scalar', bound=np.generic)
@@ -43,6 +46,7 @@ class GaussianMap:
         self._ids = np.empty(0, np.int64)
         self._hosts = np.empty(0, np.int32)
         self._observers = np.empty(0, np.int32)  # keyframe of each viewpoint
+        self._emptied = np.empty(0, np.uint8)  # images that saw its place empty since
         self._slot_of_id = np.empty(0, np.int32)
         self._used = 0
         self._free: list[int] = []
@@ -146,6 +150,7 @@ class GaussianMap:
         self._flatness[slots] = flatness
         self._ids[slots] = ids
         self._hosts[slots] = self._observers[slots] = hosts
+        self._emptied[slots] = 0
         self.index.insert(self._means, slots)
 
     def remove(self, ids: NDArray[np.int64]) -> None:
@@ -216,6 +221,7 @@ class GaussianMap:
             '_ids',
             '_hosts',
             '_observers',
+            '_emptied',
         ):
             setattr(self, name, _grown(getattr(self, name), self._used))
         return np.array([*reused, *fresh], dtype=np.int32)
@@ -242,10 +248,33 @@ class GaussianMap:
         this keyframe. Return the `agreement`.
         """
         verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
-        seen = verdicts == _AGREES
+        seen = verdicts == AGREES
         self.viewpoints[seen] = T_world_cam[:3, 3]
         self._observers[: self._used][seen] = keyframe
         return _agreement(verdicts)
+
+    def notice(
+        self,
+        T_world_cam: NDArray[np.float64],
+        depth_m: NDArray[np.float32],
+        camera: PinholeCamera,
+        sensor: SensorNoise,
+    ) -> None:
+        """Count for each Gaussian how many depth images (H, W) have seen its place empty since."""
+        verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
+        emptied = self._emptied[: self._used]
+        emptied[verdicts == AGREES] = 0
+        emptied += (verdicts == EMPTY) & (emptied < _EMPTIED)
+
+    def remove_gone(self, first_host: int) -> NDArray[np.int64]:
+        """Remove what some images did not see any more where it was; return its ids (N,).
+
+        Of Gaussians that keyframes before `first_host` spawned it may be the map that is wrong.
+        """
+        gone = (self._emptied[: self._used] >= _EMPTIED) & (self.hosts >= first_host)
+        ids = self.ids[gone & (self.ids >= 0)]
+        self.remove(ids)
+        return ids
 
     def agreement(
         self,
@@ -270,16 +299,25 @@ class GaussianMap:
         sensor: SensorNoise,
     ) -> NDArray[np.uint8]:
         """Return the verdict (M,) of a depth image on each slot."""
-        verdicts = np.zeros(self._used, np.uint8)
-        _compare(
-            self.means, T, depth_m, camera.parameters, sensor.a_m, sensor.b_per_m, verdicts
-        )  # fmt: skip
-        return verdicts
+        return verdicts_on(self.means, T, depth_m, camera, sensor)
+
+
+def verdicts_on(
+    points: NDArray[np.float32],
+    T: NDArray[np.float64],
+    depth_m: NDArray[np.float32],
+    camera: PinholeCamera,
+    sensor: SensorNoise,
+) -> NDArray[np.uint8]:
+    """Return (N,) what a depth image (H, W) from T (4, 4) says of points (N, 3) in the world."""
+    verdicts = np.zeros(len(points), np.uint8)
+    _compare(points, T, depth_m, camera.parameters, sensor.a_m, sensor.b_per_m, verdicts)
+    return verdicts
 
 
 def _agreement(verdicts: NDArray[np.uint8]) -> float:
-    seen = int(np.count_nonzero(verdicts == _AGREES))
-    looked_through = int(np.count_nonzero(verdicts == _LOOKED_THROUGH))
+    seen = int(np.count_nonzero(verdicts == AGREES))
+    looked_through = int(np.count_nonzero(verdicts >= _LOOKED_THROUGH))
     return seen / max(seen + looked_through, 1)
 
 
@@ -320,9 +358,24 @@ def _compare(means, T, depth, camera, noise_a, noise_b, verdicts):
             measured = depth[v, u]
             tolerance = _IN_VIEW_SIGMAS * (noise_a + noise_b * z * z) + _IN_VIEW_FLOOR_M
             if abs(measured - z) <= tolerance:
-                verdicts[j] = _AGREES
+                verdicts[j] = AGREES
             elif measured > z:
-                verdicts[j] = _LOOKED_THROUGH
+                clear = z + tolerance + _EMPTY_M
+                empty = measured > clear and _is_empty(depth, u, v, clear)
+                verdicts[j] = EMPTY if empty else _LOOKED_THROUGH
+
+
+@kernel
+def _is_empty(depth, u, v, clear):
+    """Return whether no `depth` (H, W) at or around a pixel is less than `clear`, metres."""
+    height, width = depth.shape
+    if not (_BESIDE_PX <= u < width - _BESIDE_PX and _BESIDE_PX <= v < height - _BESIDE_PX):
+        return False
+    for y in range(v - _BESIDE_PX, v + _BESIDE_PX + 1, _BESIDE_PX):
+        for x in range(u - _BESIDE_PX, u + _BESIDE_PX + 1, _BESIDE_PX):
+            if 0.0 < depth[y, x] <= clear:
+                return False
+    return True
 
 
 @kernel

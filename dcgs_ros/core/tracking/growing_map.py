@@ -22,6 +22,7 @@ from .gaussian_map import GaussianMap
 from .hosting import Hosts, hosts_of
 from .keyframes import KeyframePolicy, candidates, spawn
 from .landmarks import Landmarks, detect
+from .newcomers import Newcomers
 from .uncertainty import PoseUncertainty
 from .visited import Visited
 
@@ -34,6 +35,7 @@ class GrowingMap:
         self._camera, self._config = camera, config
         self._policy = KeyframePolicy(config.keyframes)
         self._next_landmark = 0  # id
+        self._newcomers = Newcomers(camera)
         self.visited = Visited()  # the keyframes
         self.host = 0  # the keyframe that the camera is placed relative to
         self.depth_bias = DepthBias(camera, config.sensor.depth_bias)
@@ -69,6 +71,7 @@ class GrowingMap:
         self.gaussians.move(motions)
         self.depth_bias.move(self.visited.poses)
         self._policy.move(motions[self.host])
+        self._newcomers.move(motions[self.host])
         return motions
 
     @property
@@ -91,6 +94,18 @@ class GrowingMap:
     ) -> NDArray[np.float64]:
         """Return the covariance (6, 6) in the world of a pose (4, 4) that only the host holds."""
         return self.visited.in_world(T_world_cam, Hosts.only(self.host, covariance))
+
+    def observe(self, registered: RegisteredFrame, keep: bool) -> None:
+        """Look for what is gone in a tracked frame, and remove it, unless the map is to `keep` it.
+
+        Gaussians of keyframes before those that the last one fits are left: there it may be the
+        map that is wrong.
+        """
+        due = self._newcomers.observe(registered, self.gaussians, self._config.sensor)
+        odometry = self.visited.odometries[-1]
+        if due and odometry is not None and not keep:
+            first = int(odometry.hosts.min(initial=odometry.keyframe))
+            self.gaussians.remove_gone(first)
 
     def wants_keyframe(self, found: Estimate, memory: Memory) -> bool:
         """Return whether a frame should become a keyframe; `memory` is that after it."""
@@ -124,6 +139,8 @@ class GrowingMap:
             keyframe,
         )  # fmt: skip
         cloud = candidates(registered, last, self._camera, config)
+        points = se3.transform(T @ registered.T_cam_cam_at_depth, cloud.points)
+        cloud = cloud[~self._newcomers.among(points, config.sensor)]
         ids = spawn(
             cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, keyframe,
             self._camera.focal, config.sensor, config.keyframes, config.registration.radius_m,
@@ -164,6 +181,7 @@ class GrowingMap:
             registered.T_cam_cam_at_depth, registered.twist, self.gaussians, self._camera,
             self._config.sensor, self._config.landmarks, self._config.registration.anchor_px, host,
         )  # fmt: skip
+        new = new[~self._newcomers.among(new.targets.points, self._config.sensor)]
         new = replace(new, ids=self._next_landmark + np.arange(len(new)))
         self._next_landmark += len(new)
         landmarks = memory.landmarks.joined(new)

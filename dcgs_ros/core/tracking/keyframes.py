@@ -79,11 +79,12 @@ def candidates(
 ) -> FrameCloud:
     """Sample the points that a keyframe may spawn, in the camera frame at the depth's instant.
 
-    Only those remain that the depth of the `last` frame, if there is one, confirms.
+    Only those remain that the depth of the `last` frame, if there is one, confirms, and that are
+    not of a thing that moves.
     """
     frame, settings = registered.frame, config.keyframes
     cloud = sample(frame, camera, config, settings.spawn_stride_px, registered.twist_at_depth)
-    cloud = thinned(cloud, settings.spawn_min_m)
+    cloud = registered.corners.standing(thinned(cloud, settings.spawn_min_m))
     if last is None:
         return cloud
     T_last_now = se3.inverse(last.T_world_cam @ last.T_cam_cam_at_depth) @ (

@@ -546,6 +546,7 @@ class Tracker:
             if not self._unconfirmed:
                 self._map.depth_bias.observe(found.registration)
             self._unconfirmed = max(self._unconfirmed - evidence.confirms, 0)
+            self._map.observe(found.registered, keep=self.localize_only or bool(self._unconfirmed))
             if found.sees_depth(self._config):
                 self._usual = self._usual.with_frame(found.registration)
         memory, registered, result = self._memory, found.registered, found.registration

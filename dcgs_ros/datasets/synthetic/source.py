@@ -55,7 +55,7 @@ class SyntheticSource:
         extras = {key: getattr(self.options, key) for key in SCENES[scene].extras}
         self._scenario = build_scenario(scene, seed, self.options.motion, **extras)
         self._path = self._scenario.motion.path(seed, self.options.speed)
-        self._mover = self._scenario.mover and self._scenario.mover(self._path)
+        self._mover = None if self._scenario.mover is None else self._scenario.mover(self._path)
         self._kind = SENSORS[str(self.options.sensor)]
         self._depth_camera: DepthCamera = self._kind.depth(seed)
         self._lag_phases = np.random.default_rng((seed, _LAG_STREAM)).uniform(0, 2 * np.pi, 3)

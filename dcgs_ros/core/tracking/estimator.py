@@ -180,12 +180,14 @@ def estimate(
     seen = Corners.none()
     if image is not None:
         T, stands = standing(start.arrival.T_world_cam, prior, image)
-        start = replace(start, arrival=memory.arrival(frame, T))
+        all_stand = bool(stands.all())
+        if not all_stand:
+            start = replace(start, arrival=memory.arrival(frame, T))
         if config.sensor.color_readout_ms > 0.0:
             measured = _measured(landmarks, frame, start.arrival, camera, config)
             image = measured or image
         seen = Corners(image.points, ~stands)
-        image = image[stands]
+        image = image if all_stand else image[stands]
 
     # III-B, III-C and III-E: the depth residual, and joint Levenberg-Marquardt with the landmarks.
     def registered_from(start: _Start, image: PointFactors | None) -> Registration:

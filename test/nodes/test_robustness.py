@@ -437,9 +437,9 @@ def test_parameters_of_live_nodes_change_or_say_why_not(robot: Robot) -> None:
         assert not answer.successful and live in answer.reason
         answer = set_parameter(robot, node, live, 'much')
         assert not answer.successful and answer.reason
-        answer = set_parameter(robot, node, 'node.odom_frame', 'elsewhere')
+        answer = set_parameter(robot, node, 'node.map_frame', 'elsewhere')
         assert not answer.successful and 'read-only' in answer.reason
-        request = DescribeParameters.Request(names=[live, 'node.odom_frame'])
+        request = DescribeParameters.Request(names=[live, 'node.map_frame'])
         described = asked(robot, DescribeParameters, f'/{node}/describe_parameters', request)
         for descriptor in described.descriptors:
             assert len(descriptor.description) > 10

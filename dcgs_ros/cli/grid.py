@@ -14,13 +14,12 @@ from ..core.config.schema import override
 from ..core.mapping.rectification import DEPTH_UNIT_M
 from ..core.navigation.occupancy import OccupancyMap, OccupancyMapper
 from ..core.navigation.voxels import FREE, OCCUPIED
+from ..datasets.mounts import LOOKING_FORWARD
 from ..io.map_archive import SavedMap, read_map
 from ..io.map_server import write_map_server
 from .arguments import GridArguments, UsageError
 from .folders import FolderError
 from .tables import table
-
-_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # of a level camera
 
 
 def execute(arguments: GridArguments) -> int:
@@ -69,8 +68,7 @@ def _T_floor_world(arguments: GridArguments) -> NDArray[np.float64]:
     """Return the pose (4, 4) of the map's world over the floor."""
     T = np.eye(4)
     if arguments.camera_height is not None:
-        T[:3, :3] = _FORWARD
         pitch = np.radians(arguments.camera_pitch)
-        T = T @ se3.exp(np.array([0.0, 0.0, 0.0, pitch, 0.0, 0.0]))
+        T = LOOKING_FORWARD @ se3.exp(np.array([0.0, 0.0, 0.0, pitch, 0.0, 0.0]))
         T[2, 3] = arguments.camera_height
     return T

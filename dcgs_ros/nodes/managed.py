@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -64,7 +65,7 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure; where that raises, stay as it was."""
-        self._lasting, self._failure = set(self._entities()), None
+        self._lasting, self._failure = {entity for entity, _ in self._entities()}, None
         try:
             self.configure()
         except Exception as error:  # rclpy would hide it
@@ -103,18 +104,20 @@ class ManagedNode(LifecycleNode):
         self.close()
         return _DONE
 
-    def _entities(self) -> list[Any]:
-        return [*self.publishers, *self.subscriptions, *self.services, *self.clients, *self.timers]
+    def _entities(self) -> Iterator[tuple[Any, Callable[[Any], bool]]]:
+        """Yield all that a node may have, and how each is destroyed."""
+        for entities, destroy in (
+            (self.publishers, self.destroy_publisher),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.timers, self.destroy_timer),
+        ):
+            for entity in list(entities):
+                yield entity, destroy
 
     def _destroy_others(self) -> None:
         """Destroy what is not lasting."""
-        for publisher in set(self.publishers) - self._lasting:
-            self.destroy_publisher(publisher)
-        for subscription in set(self.subscriptions) - self._lasting:
-            self.destroy_subscription(subscription)
-        for service in set(self.services) - self._lasting:
-            self.destroy_service(service)
-        for client in set(self.clients) - self._lasting:
-            self.destroy_client(client)
-        for timer in set(self.timers) - self._lasting:
-            self.destroy_timer(timer)
+        for entity, destroy in self._entities():
+            if entity not in self._lasting:
+                destroy(entity)

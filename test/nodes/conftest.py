@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -51,6 +52,34 @@ def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         rclpy.init(args=[])
         yield
         rclpy.shutdown()
+
+
+@pytest.fixture
+def make(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Any]]:
+    """Return a maker of nodes of this process, without their threads."""
+    rclpy = pytest.importorskip('rclpy')
+    from dcgs_ros.nodes import mapper, replay, tracker
+
+    for name, value in ros_environment.items():
+        monkeypatch.setenv(name, value)
+    idle = SimpleNamespace(join=lambda: None, leave=lambda: None)
+    for module in (tracker, mapper, replay):
+        monkeypatch.setattr(module, 'Worker', lambda node, work, name: idle)
+    nodes: list[Any] = []
+
+    def made(kind: Callable[[], Any], *arguments: str) -> Any:
+        if not rclpy.ok():
+            rclpy.init(args=['--ros-args', *arguments])
+        nodes.append(kind())
+        return nodes[-1]
+
+    yield made
+    for node in nodes:
+        getattr(node, 'close', lambda: None)()
+        node.destroy_node()
+    rclpy.try_shutdown()
 
 
 @pytest.fixture

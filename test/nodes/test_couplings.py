@@ -7,7 +7,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 pytest.importorskip('rclpy')
 
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -29,7 +28,7 @@ from dcgs_ros.core.errors import DcgsError
 from dcgs_ros.core.frame import RgbdFrame
 from dcgs_ros.core.keyframe import Keyframe
 from dcgs_ros.core.tracking.result import TrackingState, TrackResult
-from dcgs_ros.nodes import mapper, replay, tracker
+from dcgs_ros.nodes import replay, tracker
 from dcgs_ros.nodes.mapper import MapperNode
 from dcgs_ros.nodes.messages.clouds import KEYFRAME_POSE, MAP_GAUSSIAN
 from dcgs_ros.nodes.messages.ids import EPOCH
@@ -58,29 +57,6 @@ IDENTITY = np.eye(4)
 OK, RELOCALISED = TrackingState.OK, TrackingState.RELOCALISED
 
 Make = Callable[..., Any]
-
-
-@pytest.fixture
-def make(ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
-    """Return a maker of nodes of this process, without their threads."""
-    for name, value in ros_environment.items():
-        monkeypatch.setenv(name, value)
-    idle = SimpleNamespace(join=lambda: None, leave=lambda: None)
-    for module in (tracker, mapper, replay):
-        monkeypatch.setattr(module, 'Worker', lambda node, work, name: idle)
-    nodes: list[Any] = []
-
-    def made(kind: Callable[[], Node], *arguments: str) -> Any:
-        if not rclpy.ok():
-            rclpy.init(args=['--ros-args', *arguments])
-        nodes.append(kind())
-        return nodes[-1]
-
-    yield made
-    for node in nodes:
-        getattr(node, 'close', lambda: None)()
-        node.destroy_node()
-    rclpy.try_shutdown()
 
 
 def spin_until(condition: Callable[[], bool], *nodes: Node) -> None:

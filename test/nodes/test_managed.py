@@ -5,15 +5,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from types import SimpleNamespace
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 pytest.importorskip('rclpy')
 
-import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.executors import SingleThreadedExecutor
@@ -22,7 +20,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from dcgs_ros.core.errors import DcgsError
-from dcgs_ros.nodes import mapper, tracker
+from dcgs_ros.nodes import mapper
 from dcgs_ros.nodes.managed import INACTIVE, UNCONFIGURED, ManagedNode
 from dcgs_ros.nodes.mapper import MapperNode
 from dcgs_ros.nodes.tracker import TrackerNode
@@ -67,29 +65,6 @@ class Example(ManagedNode):
 def topics(node: Node) -> set[str]:
     entities: list[Any] = [*node.publishers, *node.subscriptions]
     return {entity.topic_name for entity in entities}
-
-
-@pytest.fixture
-def make(ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
-    """Return a maker of nodes of this process, without their threads."""
-    for name, value in ros_environment.items():
-        monkeypatch.setenv(name, value)
-    idle = SimpleNamespace(join=lambda: None, leave=lambda: None)
-    for module in (tracker, mapper):
-        monkeypatch.setattr(module, 'Worker', lambda node, work, name: idle)
-    nodes: list[Any] = []
-
-    def made(kind: Callable[[], Node], *arguments: str) -> Any:
-        if not rclpy.ok():
-            rclpy.init(args=['--ros-args', *arguments])
-        nodes.append(kind())
-        return nodes[-1]
-
-    yield made
-    for node in nodes:
-        getattr(node, 'close', lambda: None)()
-        node.destroy_node()
-    rclpy.try_shutdown()
 
 
 def test_each_transition_does_its_part_and_a_clean_up_undoes_the_first(make: Make) -> None:

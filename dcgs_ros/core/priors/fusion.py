@@ -61,10 +61,10 @@ class Way:
     def of(cls, factors: Sequence[MotionFactor], before: NDArray[np.float64]) -> Way:
         """Return the way by factors that together tell all of it, from a covariance (6, 6)."""
         T = factors[-1].T_before_now
-        H = np.sum([factor.information for factor in factors], axis=0)
         for _ in range(_STEPS):
-            g = [f.information @ se3.log(se3.inverse(T) @ f.T_before_now) for f in factors]
-            T = T @ se3.exp(np.linalg.solve(H, np.sum(g, axis=0)))
+            system = _drawn(T, [(f.T_before_now, f.information) for f in factors])
+            T = T @ se3.exp(np.linalg.solve(system.H, system.g))
+        H = system.H
         shares = [np.linalg.solve(H, factor.information) for factor in factors]
         noise, drift = (
             np.sum([S @ part @ S.T for S, part in zip(shares, parts, strict=True)], axis=0)
@@ -136,15 +136,23 @@ class Sensed:
         T: NDArray[np.float64],
         placed: list[tuple[NDArray[np.float64], NDArray[np.float64]]],
     ) -> NormalEquations:
-        total = NormalEquations(np.zeros((6, 6)), np.zeros(6), 0.0)
-        for T_said, information in placed:
-            residual = se3.log(se3.inverse(T) @ T_said)
-            g = information @ residual
-            total = total + NormalEquations(information, g, float(residual @ g))
+        total = _drawn(T, placed)
         for term in (self.floor, self.up):
             if term is not None:
                 total = total + term.normal_equations(T)
         return total
+
+
+def _drawn(
+    T: NDArray[np.float64], placed: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+) -> NormalEquations:
+    """Return the equations at a pose (4, 4) that others (4, 4) draw, by information (6, 6)."""
+    total = NormalEquations(np.zeros((6, 6)), np.zeros(6), 0.0)
+    for T_said, information in placed:
+        residual = se3.log(se3.inverse(T) @ T_said)
+        g = information @ residual
+        total = total + NormalEquations(information, g, float(residual @ g))
+    return total
 
 
 def is_likely(factor: MotionFactor, T_world_cam: NDArray[np.float64], hand: PosePrior) -> bool:

@@ -82,10 +82,10 @@ class PoseClaims:
         """Return the covariance (6, 6) of a pose from its own frame alone."""
         return uncertainty.covariance(self._bias.beta2, clocks.lag_sigma_s, clocks.twist)
 
-    def in_doubt(self, uncertainty: PoseUncertainty, clocks: Clocks) -> NDArray[np.float64]:
-        """Return the covariance (6, 6) of a pose and of the one before, together."""
+    def in_doubt(self, measured: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance (6, 6) of a `measured` pose and of the one before, together."""
         before = np.zeros((6, 6)) if self.limit is None else self.limit.covariance
-        return before + self.measured(uncertainty, clocks)
+        return before + measured
 
     def advance(
         self,

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from .cloud import FrameCloud
 from .factors import PointFactors, PosePrior
@@ -28,7 +29,7 @@ _MOST = 0.6  # share that is believed to stand still
 _ROUNDS, _STEPS = 4, 2
 _NEARER = 0.5  # of the jump, at most, is left where it was a thing that moved
 _MOVES_CHI2 = 16.0  # of a landmark at the pose of most
-_REACH_M = 0.3  # from a corner that moves: farther depth is of something else
+_REACH_M = 0.3  # how far a point speaks for others: farther depth is of something else
 
 
 @dataclass(frozen=True)
@@ -50,12 +51,17 @@ class Corners:
         """
         if not self.moving.any():
             return cloud
-        points = cloud.points
-        squares = np.sum(points**2, axis=1)[:, None] + np.sum(self.points**2, axis=1)
-        squares -= 2.0 * points @ self.points.T
-        nearest = np.argmin(squares, axis=1)
-        near = squares[np.arange(len(points)), nearest] < _REACH_M**2
-        return cloud[~(self.moving[nearest] & near)]
+        return cloud[~told_by_nearest(self.points, self.moving, cloud.points)]
+
+
+def told_by_nearest(
+    points: NDArray[np.float32],  # (N, 3) metres
+    told: NDArray[np.bool_],  # (N,) what is known of each
+    others: NDArray[np.float32],  # (M, 3) metres, in the same frame
+) -> NDArray[np.bool_]:
+    """Return what the nearest of the points tells of each of the `others` (M,); far off, False."""
+    _, nearest = cKDTree(points).query(others, distance_upper_bound=_REACH_M)
+    return np.asarray(np.append(told, False)[nearest])
 
 
 def standing(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..camera import PinholeCamera
 from ..frame import RgbdFrame
-from ..kernels.jit import kernel, parallel_kernel
+from ..kernels.jit import inlined, kernel, parallel_kernel
 from .factors import PointFactors, information, plane_residual
 from .registration import Registration
 
@@ -150,24 +150,21 @@ class DepthBias:
         )  # fmt: skip
 
 
-@kernel
-def _terms(x, y, half_view, phi):
-    """Write the phi_k (5,) at x/z, y/z; `half_view` is that of the image's edge."""
+@inlined
+def _terms(x, y, half_view):
+    """Return the five phi_k at x/z, y/z; `half_view` is that of the image's edge."""
     x, y = x / half_view[0], y / half_view[1]
-    phi[0], phi[1], phi[2] = x, y, x * y
-    phi[3], phi[4] = x * x - 1.0 / 3.0, y * y - 1.0 / 3.0
+    return x, y, x * y, x * x - 1.0 / 3.0, y * y - 1.0 / 3.0
 
 
 @parallel_kernel
 def _write_gain(rays, half_view, theta, gain):
     """Write 1 / (1 + b) of the rays x/z, y/z (H, W, 2) into `gain` (H, W)."""
-    scale_x, scale_y = 1.0 / half_view[0], 1.0 / half_view[1]
     t0, t1, t2, t3, t4 = theta[0], theta[1], theta[2], theta[3], theta[4]
     for v in prange(rays.shape[0]):
         for u in range(rays.shape[1]):
-            x, y = rays[v, u, 0] * scale_x, rays[v, u, 1] * scale_y
-            b = x * (t0 + t2 * y + t3 * x) + y * (t1 + t4 * y) - (t3 + t4) / 3.0
-            gain[v, u] = 1.0 / (1.0 + b)
+            p0, p1, p2, p3, p4 = _terms(rays[v, u, 0], rays[v, u, 1], half_view)
+            gain[v, u] = 1.0 / (1.0 + p0 * t0 + p1 * t1 + p2 * t2 + p3 * t3 + p4 * t4)
 
 
 @kernel
@@ -185,7 +182,6 @@ def _accumulate(
     the residual by theta, and y what it would be had depth not been corrected.
     """
     rows, e = np.zeros((3, 12)), np.zeros(3)
-    then, now = np.zeros(5), np.zeros(5)
     for i in range(0, points.shape[0], every):
         host = hosts[i]
         if perp[i] < 0.0 or host < 0 or np.isnan(thetas[host, 0]):
@@ -198,8 +194,7 @@ def _accumulate(
         x_then = (H[0, 0] * dx + H[1, 0] * dy + H[2, 0] * dz) / z_then
         y_then = (H[0, 1] * dx + H[1, 1] * dy + H[2, 1] * dz) / z_then
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        _terms(x_then, y_then, half_view, then)
-        _terms(x / z, y / z, half_view, now)
+        then, now = _terms(x_then, y_then, half_view), _terms(x / z, y / z, half_view)
         b_then = b_now = 0.0  # that depth was corrected by
         for m in range(5):
             b_then += then[m] * thetas[host, m]

@@ -258,7 +258,7 @@ def _followed(
         last.grey, grey, last.T_world_cam, prior.T_world_cam, camera, config.landmarks
     )
     mask = covered(config.self_mask, camera.width, camera.height)
-    return followed[seen_beside(followed.pixels, mask)]
+    return followed if mask is None else followed[seen_beside(followed.pixels, mask)]
 
 
 def _measured(

@@ -247,7 +247,7 @@ class GaussianMap:
         Sigma_t is then the noise of the most recent observation (paper, tracking covariance), of
         this keyframe. Return the `agreement`.
         """
-        verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
+        verdicts = verdicts_on(self.means, T_world_cam, depth_m, camera, sensor)
         seen = verdicts == AGREES
         self.viewpoints[seen] = T_world_cam[:3, 3]
         self._observers[: self._used][seen] = keyframe
@@ -261,7 +261,7 @@ class GaussianMap:
         sensor: SensorNoise,
     ) -> None:
         """Count for each Gaussian how many depth images (H, W) have seen its place empty since."""
-        verdicts = self._compared(T_world_cam, depth_m, camera, sensor)
+        verdicts = verdicts_on(self.means, T_world_cam, depth_m, camera, sensor)
         emptied = self._emptied[: self._used]
         emptied[verdicts == AGREES] = 0
         emptied += (verdicts == EMPTY) & (emptied < _EMPTIED)
@@ -289,17 +289,7 @@ class GaussianMap:
         have been seen: if there are many, the pose is wrong, however well the frame fits the rest
         of the map.
         """
-        return _agreement(self._compared(T_world_cam, depth_m, camera, sensor))
-
-    def _compared(
-        self,
-        T: NDArray[np.float64],
-        depth_m: NDArray[np.float32],
-        camera: PinholeCamera,
-        sensor: SensorNoise,
-    ) -> NDArray[np.uint8]:
-        """Return the verdict (M,) of a depth image on each slot."""
-        return verdicts_on(self.means, T, depth_m, camera, sensor)
+        return _agreement(verdicts_on(self.means, T_world_cam, depth_m, camera, sensor))
 
 
 def verdicts_on(

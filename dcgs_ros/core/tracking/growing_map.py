@@ -134,12 +134,12 @@ class GrowingMap:
         config, frame, T = self._config, registered.frame, registered.T_world_cam
         odometry = self.visited.odometry(T, claim.submap, claim.covariance, claim.hosts)
         keyframe = self.host = odometry.keyframe
+        T_world_depth = T @ registered.T_cam_cam_at_depth
         agreement = self.gaussians.refresh(
-            T @ registered.T_cam_cam_at_depth, frame.depth_m, self._camera, config.sensor,
-            keyframe,
-        )  # fmt: skip
+            T_world_depth, frame.depth_m, self._camera, config.sensor, keyframe
+        )
         cloud = candidates(registered, last, self._camera, config)
-        points = se3.transform(T @ registered.T_cam_cam_at_depth, cloud.points)
+        points = se3.transform(T_world_depth, cloud.points)
         cloud = cloud[~self._newcomers.among(points, config.sensor)]
         ids = spawn(
             cloud.moved(registered.T_cam_cam_at_depth), T, self.gaussians, keyframe,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..covariances import FLOOR
 from ..kernels.jit import kernel
 from .factors import weighted_residual
 from .registration import Registration
@@ -20,7 +21,7 @@ from .uncertainty import FEIGNED_SIGMAS, sum_chance
 
 _MOST = 6  # hosts of a pose, those that hold most
 _PRIOR = np.eye(6)  # 1 / m^2, 1 / rad^2: what nothing holds goes on from the last keyframe
-_LEAST = 1e-12  # square of 1 um, 1 urad: keeps a covariance invertible
+_LEAST = 1e-12  # eigenvalue that rounding may have made negative
 VAGUE = 1e-2 * np.eye(6)  # 10 m, 10 rad: along what a few hosts do not hold
 
 
@@ -39,7 +40,7 @@ class Hosts:
     @classmethod
     def only(cls, keyframe: int, covariance: NDArray[np.float64]) -> Hosts:
         """Return one that holds all of a pose with this covariance (6, 6)."""
-        whole = np.asarray(np.linalg.inv(covariance + _LEAST * np.eye(6)))
+        whole = np.asarray(np.linalg.inv(covariance + FLOOR))
         return cls(np.array([keyframe], np.int32), whole[None])
 
     def inherited(self, theirs: NDArray[np.float64]) -> NDArray[np.float64]:

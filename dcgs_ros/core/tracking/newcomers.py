@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..camera import PinholeCamera
 from ..sensor import SensorNoise
+from .consensus import told_by_nearest
 from .estimator import RegisteredFrame
 from .gaussian_map import AGREES, EMPTY, GaussianMap, verdicts_on
 
@@ -24,7 +24,6 @@ _EVERY_S = 0.3  # between two images that are kept: a third of a metre of a walk
 _STOOD_S = 1.5  # what an image that is older shows is taken for a part of the place
 _IMAGES = 2  # that must see nothing: in a fast turn one may be off
 _SOME = 0.02  # share of the points, at most: noise at edges, no thing
-_REACH_M = 0.3  # how far points speak for others
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,7 @@ class Newcomers:
         told = np.flatnonzero(new | stood)
         if np.count_nonzero(new) <= _SOME * len(points):
             return np.zeros(len(points), np.bool_)
-        _, nearest = cKDTree(points[told]).query(points, distance_upper_bound=_REACH_M)
-        return np.asarray(np.append(new[told], False)[nearest])
+        return told_by_nearest(points[told], new[told], points)
 
     def move(self, motion: NDArray[np.float64]) -> None:
         """Move the images by `motion` (4, 4), in the world."""

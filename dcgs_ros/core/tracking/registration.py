@@ -168,11 +168,10 @@ def register(
         before = T
         pairs = depth.associate(T, search_m)
         T = descend(T, [pairs, *others], _STEPS_AN_ASSOCIATION)
-        moved = se3.inverse(before) @ T
-        way = se3.log(moved)
+        way = se3.log(se3.inverse(before) @ T)
         still = math.hypot(*way[:3]) < settings.tolerance_m
-        turned = math.hypot(*way[3:]) >= settings.tolerance_rad
-        if still and not turned and search_m == settings.radius_m:
+        still &= math.hypot(*way[3:]) < settings.tolerance_rad
+        if still and search_m == settings.radius_m:
             break
         search_m = max(0.5 * search_m, settings.radius_m)
     T = se3.orthonormalised(T)

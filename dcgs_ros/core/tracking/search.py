@@ -128,12 +128,12 @@ class Search:
         if not (found.is_trusted(config) and self._relocalizer.accepts(best, agreement)):
             return False
         spectrum = observability(best.equations.H, uncertainty.information)
-        if claims.is_degenerate(spectrum, claims.measured(uncertainty, clocks)):
+        measured = claims.measured(uncertainty, clocks)
+        if claims.is_degenerate(spectrum, measured):
             return False  # it may be anywhere along that direction
         if known.memory.is_gap(frame.stamp_ns):
             return True
-        doubt = claims.in_doubt(uncertainty, clocks)
-        return found.prior.sigmas_to(T, doubt) <= JUMP_SIGMAS
+        return found.prior.sigmas_to(T, claims.in_doubt(measured)) <= JUMP_SIGMAS
 
     def _recognised(
         self, frame: RgbdFrame, known: Known

@@ -126,13 +126,14 @@ class Tracker:
         if not found.is_trusted(self._config):
             return self._sought(frame, self._lose(), guesses)
         uncertainty = self._claims.uncertainty(found.registration)
+        measured = self._claims.measured(uncertainty, self._clocks)
         evidence = weigh(
-            found, self._memory, self._usual, self._claims.in_doubt(uncertainty, self._clocks),
+            found, self._memory, self._usual, self._claims.in_doubt(measured),
             self.gaussians, self.camera, self._config,
         )  # fmt: skip
         if evidence.contradicts:
             return self._sought(frame, self._lose(), guesses)
-        images, last = self._by_images(found, uncertainty), self._memory.last
+        images, last = self._by_images(found, measured), self._memory.last
         if self._memory.sensed is not None:
             found = found.moved_to(
                 self.priors.with_images(self._memory.sensed, images, self.T_world_cam)
@@ -517,13 +518,12 @@ class Tracker:
             self._reference(self.T_world_cam), carried=carried,
         )  # fmt: skip
 
-    def _by_images(self, found: Estimate, uncertainty: PoseUncertainty) -> ImagePose:
+    def _by_images(self, found: Estimate, measured: NDArray[np.float64]) -> ImagePose:
         """Return a pose as other sensors may believe it."""
         limits = self._config.registration
         return ImagePose(
-            found.registered.T_world_cam, self._claims.measured(uncertainty, self._clocks),
-            (limits.degenerate_m, limits.degenerate_rad),
-        )  # fmt: skip
+            found.registered.T_world_cam, measured, (limits.degenerate_m, limits.degenerate_rad)
+        )
 
     def _carries(self, stamp_ns: int) -> bool:
         """Move the last pose on by what other sensors tell, as long as that is worth something."""

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from ...core import se3
 from ...core.config.nodes import MapperNodeSettings, TrackerNodeSettings
 from ...core.config.schema import ConfigError
+from ...datasets.mounts import LOOKING_FORWARD
 from ..messages.odometry import CameraToBase
 from ..transforms import Transforms
 
-# REP 103: the optical frame has z forward and x right, the base x forward and z up.
-LOOKING_FORWARD = se3.from_quaternion(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))
 _AGAIN_S = 0.2  # between two questions to TF
 WHO_KNOWS = "start what publishes it, such as robot_state_publisher or the camera's driver"
 _UNIT = 1e-3  # largest distance of a quaternion's length from 1
